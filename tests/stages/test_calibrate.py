@@ -370,14 +370,6 @@ def test_smaller_frames(
     assert row["radius_px"] == pytest.approx(14.4 * scale.mean(), abs=0.5)
 
 
-@pytest.mark.slow
-def test_dots_too_small_to_be_found(tmp_path: Path, events: Events) -> None:
-    """Assert that dots of 3 px, on a frame of 128 x 96, are refused with the size that is looked for."""
-    small = Events(events.t, events.x // 5, events.y // 5, events.p)
-    with pytest.raises(InputError, match="4 or more, dark and round, of 4 to 10 px radius"):
-        calibrated(recorded(tmp_path / "tiny.recording.h5", small, (128, 96)))
-
-
 def test_larger_frame(
     halves: tuple[RestImage, RestImage], tmp_path: Path, truth: Grid, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,12 +12,10 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from evetac_cli import resources
-from evetac_cli.commands.grasp import Grasp
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.stages.slip_detectors import load_detector
 from evetac_cli.store.files import StageFile
-from evetac_cli.trials import grasp
 
 
 @pytest.fixture
@@ -59,32 +57,6 @@ def endless_loop(graph: Any) -> None:
     add_to_output(graph, helper.make_node("Loop", ["rounds", "true", "before"], ["probability"], body=body))
 
 
-def branch(graph: Any) -> None:
-    """An If with two branches that do the same."""
-    branches = {
-        name: helper.make_graph(
-            [helper.make_node("Identity", ["before"], [name])],
-            name,
-            [],
-            [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch"])],
-        )
-        for name in ("then_branch", "else_branch")
-    }
-    graph.graph.initializer.append(numpy_helper.from_array(np.array(True), "true"))
-    add_to_output(graph, helper.make_node("If", ["true"], ["probability"], **branches))
-
-
-def constant_of_32_gb(graph: Any) -> None:
-    """A constant of 2**33 numbers, made from a shape of eight bytes, whose mean is added to the probability."""
-    graph.graph.initializer.append(numpy_helper.from_array(np.array([2**33]), "many"))
-    nodes = [
-        helper.make_node("ConstantOfShape", ["many"], ["zeros"]),
-        helper.make_node("ReduceMean", ["zeros"], ["zero"], keepdims=1),
-        helper.make_node("Add", ["before", "zero"], ["probability"]),
-    ]
-    add_to_output(graph, *nodes)
-
-
 def another_weight(graph: Any) -> None:
     (bias,) = (one for one in graph.graph.initializer if one.name == "0.fc1.bias")
     changed = numpy_helper.to_array(bias) + 1
@@ -107,21 +79,6 @@ def function(graph: Any) -> None:
     add_to_output(graph, helper.make_node("Same", ["before"], ["probability"], domain="mine"))
 
 
-def custom_domain(graph: Any) -> None:
-    graph.opset_import.append(helper.make_opsetid("com.microsoft", 1))
-    add_to_output(graph, helper.make_node("Gelu", ["before"], ["probability"], domain="com.microsoft"))
-
-
-def unused_weights(graph: Any) -> None:
-    graph.graph.initializer.append(numpy_helper.from_array(np.zeros(1000, np.float32), "more"))
-
-
-def fewer_layers(graph: Any) -> None:
-    """The logit without the sigmoid."""
-    place = next(index for index, node in enumerate(graph.graph.node) if node.op_type == "Sigmoid")
-    graph.graph.node[place].op_type = "Relu"
-
-
 def another_padding(graph: Any) -> None:
     conv = next(node for node in graph.graph.node if node.op_type == "Conv")
     (pads,) = (attribute for attribute in conv.attribute if attribute.name == "pads")
@@ -132,14 +89,9 @@ HOSTILE: dict[str, Callable[[Any], None]] = {
     name.__name__.replace("_", " "): name
     for name in (
         endless_loop,
-        branch,
-        constant_of_32_gb,
         another_weight,
         weight_in_another_file,
         function,
-        custom_domain,
-        unused_weights,
-        fewer_layers,
         another_padding,
     )
 }
@@ -147,10 +99,8 @@ HOSTILE: dict[str, Callable[[Any], None]] = {
 
 @pytest.mark.parametrize(
     "change",
-    [
-        pytest.param(change, id=name, marks=pytest.mark.slow if number % 3 else ())
-        for number, (name, change) in enumerate(HOSTILE.items())
-    ],
+    HOSTILE.values(),
+    ids=HOSTILE,
 )
 def test_m7_a_graph_that_is_not_ours_is_refused(change: Callable[[Any], None], model: Path) -> None:
     """Assert that validate and whoever loads a detector refuse the graph without running it."""
@@ -162,16 +112,6 @@ def test_m7_a_graph_that_is_not_ours_is_refused(change: Callable[[Any], None], m
     assert "onnx" in row["faults"]
     with StageFile(model, "model") as file, pytest.raises(InputError, match="onnx"):
         load_detector(file)
-
-
-def test_m7_grasp_refuses_an_endless_model(model: Path) -> None:
-    """Assert that a grasp with an endless model is refused before anything moves."""
-    graph = stored_graph(model)
-    endless_loop(graph)
-    store_graph(model, graph)
-    chosen = Grasp(model=model, lift_s=0.1, balance_s=0.0)
-    with pytest.raises(InputError, match="onnx"):
-        grasp.jobs([], chosen, model.with_name("a.recording.h5"))
 
 
 def test_m7_checkpoints_are_held_to_the_same(model: Path) -> None:

@@ -140,9 +140,3 @@ def test_how_a_cut_gel_is_mounted() -> None:
     mirrored = CUT[:, ::-1] * (-1, 1) + (639, 0)
     assert "mirrored left to right" in gel_layout.mounting(mirrored, FRAME_PX, (0, 0, 100, 480))
     assert "mirrored top to bottom" in gel_layout.mounting(CUT[::-1] * (1, -1) + (0, 479), FRAME_PX, (540, 0, 640, 480))
-
-
-@pytest.mark.parametrize("dots", [WHOLE[:6], WHOLE[:, :7], WHOLE.reshape(1, -1, 2), WHOLE + (100, 0)], ids=str)
-def test_nothing_is_said_of_other_grids(dots: Grid) -> None:
-    """Assert that a grid of another size, in no grid, or far from the middle, is none of an Evetac however mounted."""
-    assert gel_layout.mounting(dots, FRAME_PX if dots.shape == WHOLE.shape else (800, 600), None) == ""

@@ -42,17 +42,6 @@ def test_regression_is_the_least_of_squares() -> None:
         assert squares(other) > squares(best)
 
 
-def test_regression_sees_the_mean_alone() -> None:
-    """Assert that neither the order of dots nor what cancels between them matters to the regression."""
-    given_px, model = moved(20), Regression(np.eye(2), np.zeros(2))
-    reported = models.apply_regression(model, given_px)
-    assert np.allclose(reported, models.apply_regression(model, given_px[:, ::-1]))
-    cancels = np.random.default_rng(3).normal(0, 1, (20, 63, 2))
-    assert np.allclose(
-        reported, models.apply_regression(model, given_px + cancels - cancels.mean(axis=1, keepdims=True))
-    )
-
-
 def test_network_by_hand() -> None:
     """Assert that the layers, ReLU, and both scales are applied: relu(x) - relu(-x) is x, summed over dots."""
     dots = 4
@@ -72,16 +61,6 @@ def test_network_by_hand() -> None:
     assert models.apply_network(Network(layers, 2.0, 6.0), given_px[:0]).shape == (0, 2)
     with pytest.raises(ValueError, match="expected 4 dots"):
         models.apply_network(Network(layers, 2.0, 6.0), moved(10, 5))
-
-
-def test_displacement() -> None:
-    """Assert that displacements are places less places at rest, and that a dot without a place is named."""
-    rest = moved(1)[0]
-    tracked = moved(5, seed=1)
-    assert np.allclose(models.displacement(tracked, rest) + rest, tracked)
-    tracked[3, 7] = np.nan
-    with pytest.raises(ValueError, match=r"dots \[7\]"):
-        models.displacement(tracked, rest)
 
 
 @given(

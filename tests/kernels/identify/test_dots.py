@@ -145,16 +145,3 @@ def test_the_lens_is_found(k1: float) -> None:
         estimated = dots.distortion(seen, PRINTED.reshape(-1, 2), FRAME_PX)
         held += estimated.low <= k1 <= estimated.high
     assert held >= 17
-
-
-def test_flat_undoes_the_lens() -> None:
-    """Assert that points are where they would be without the lens."""
-    at = flat_dots(np.random.default_rng(1), 1.0)
-    for k1 in (-0.05, 0.02):
-        np.testing.assert_allclose(dots.without_lens(Lens(FRAME_PX, k1, 0.0).seen(at), k1, FRAME_PX), at, atol=1e-6)
-
-
-def test_too_few_dots_for_a_lens() -> None:
-    """Assert that a few dots are refused."""
-    with pytest.raises(ValueError, match="12 dots"):
-        dots.distortion(np.zeros((5, 2)), np.zeros((5, 2)), FRAME_PX)

@@ -40,14 +40,6 @@ def test_commands_that_others_follow_at_once_do_not_count() -> None:
             gripper.delay_and_jitter(between)
 
 
-def test_commands_without_effect() -> None:
-    """Assert that a current which never follows is no delay."""
-    time_us, commanded, _ = commands(2.0, 1.0)
-    between = gripper.lateness(time_us, commanded, np.full(len(commanded), 50.0), 1.0)
-    with pytest.raises(ValueError, match="no effect"):
-        gripper.delay_and_jitter(between)
-
-
 @pytest.mark.parametrize("noise_ticks", [0.15, 0.4, 0.7, 1.5])
 def test_encoder_noise(noise_ticks: float) -> None:
     """Assert the noise of readings at eight places, and at one, where it is less sure."""
@@ -65,12 +57,6 @@ def test_encoder_without_noise() -> None:
     """Assert that readings which never change allow no noise or little."""
     estimate = gripper.encoder_noise([np.full(300, place) for place in range(8)])
     assert estimate.low < 0.01 and estimate.high < 0.2
-
-
-def test_encoder_without_rest() -> None:
-    """Assert that nothing is told by too few readings."""
-    with pytest.raises(ValueError, match="never rests"):
-        gripper.encoder_noise([np.zeros(5, np.int64)])
 
 
 def servo_rows(gain: float, delay_rows: int, seed: int = 0) -> tuple[np.ndarray, ...]:

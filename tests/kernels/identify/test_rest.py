@@ -149,14 +149,6 @@ def test_steps_are_found(step_us: float) -> None:
     assert result.high - result.low < 1e-3 * step_us
 
 
-def test_no_steps() -> None:
-    """Assert that uniform times have none, and that a few times say nothing."""
-    between_us = np.floor(mixed(3000, 0.5, 500.0, 4000.0, 400.0))
-    assert rest.time_step(between_us) == (0.0, 0.0, 0.0)
-    assert rest.time_step(between_us[:100]) is None
-    assert rest.dead_time(between_us[:100], 0.0, np.random.default_rng(0)) is None
-
-
 @pytest.mark.parametrize("dead_us", [0.0, 400.0])
 def test_dead_time(dead_us: float) -> None:
     """Assert that the dead time's interval holds it in about 95 of 100 cases; rare shorter times do not count."""
@@ -178,12 +170,3 @@ def test_two_exponentials() -> None:
     one = [rest.two_exponentials(mixed(100, 0.0, 1.0, 3000.0, 0.0, seed), 0.0, 0.0) for seed in range(60)]
     assert sum(law.short_share == 0.0 for law in one) >= 42
     assert rest.two_exponentials(np.array([100.0, 200.0]), 0.0, 0.0) == (0.0, 0.0)
-
-
-def test_two_exponentials_in_steps() -> None:
-    """Assert that whole steps, which hide short times, give the same law."""
-    step_us = 200.0
-    times = np.cumsum(mixed(6000, 0.5, 400.0, 8000.0, 2 * step_us))
-    law = rest.two_exponentials(np.diff(np.floor(times / step_us) * step_us), 2 * step_us, step_us)
-    assert law.short_share == pytest.approx(0.5, abs=0.06)
-    assert law.short_us == pytest.approx(400.0, rel=0.25)

@@ -124,16 +124,3 @@ def test_the_spread_is_found(spread: float) -> None:
     ]
     assert sum(one.low <= spread <= one.high for one in result) >= 16
     assert np.mean([one.value for one in result]) == pytest.approx(spread, rel=0.1)
-
-
-def test_equal_thresholds() -> None:
-    """Assert that neither chance nor what is alike in both halves is taken for a spread."""
-    result = thresholds.of_both_polarities(*of_halves(0.0, 1), RATIO, np.random.default_rng(0))
-    assert result.low == 0.0 and result.value < 0.01
-
-
-def test_too_few_events_of_a_half() -> None:
-    """Assert that a picture in which hardly anything moved is refused."""
-    few = np.full(SHAPE, 3)
-    with pytest.raises(ValueError, match="20 events"):
-        thresholds.of_both_polarities(few, few, RATIO, np.random.default_rng(0))

@@ -93,15 +93,6 @@ def test_slices_before_the_start_are_not_examined() -> None:
     assert labels.flow_pairs == 0
 
 
-def test_flow_of_a_smaller_picture() -> None:
-    """Assert that flow is in px of the whole picture, however much smaller it was computed, within a third."""
-    rng = np.random.default_rng(0)
-    x, y = rng.uniform(560, 620, 300), rng.uniform(20, 460, 300)
-    now, later = flow.event_picture(columns(x, y), WINDOW), flow.event_picture(columns(x, y + 4), WINDOW)
-    assert flow.region_flow(now, later, shrink=2) == pytest.approx((0, 4), abs=4 / 3)
-    assert flow.region_flow(now, later, shrink=8).tolist() == [0, 0]  # 12 px wide: no flow
-
-
 @pytest.mark.parametrize("threshold", [100, 3000])
 def test_event_count(threshold: int) -> None:
     """Assert that counting finds motion where the window's events over the look-ahead pass the threshold, and only."""

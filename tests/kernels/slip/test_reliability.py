@@ -31,15 +31,6 @@ def test_scale_and_offset_are_found() -> None:
     assert after < 0.03 < 0.25 < before
 
 
-def test_order_and_nan_stay() -> None:
-    """Assert that a calibration changes no order of two slices and leaves NaN, and that certainty stays finite."""
-    said = np.array([np.nan, 0.0, 1e-6, 0.3, 0.30001, 0.999, 1.0], np.float32)
-    result = reliability.OddsScale(0.7, -2.0).of(said)
-    assert np.isnan(result[0])
-    assert np.all(np.diff(result[1:]) >= 0)
-    assert np.isfinite(result[1:]).all()
-
-
 def test_slices_long_after_the_onset_do_not_count() -> None:
     """Assert that unexamined slices, those without a probability and those 20 ms after the onset are left out."""
     probability, label = np.full(200, 0.5), np.zeros(200, np.int8)

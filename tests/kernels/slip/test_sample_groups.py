@@ -52,16 +52,6 @@ def test_sizes_of_pools_are_those_that_are_gathered() -> None:
         assert sizes.steps == sampling.steps_per_epoch(samples)
 
 
-def test_one_group_is_drawn_as_if_alone() -> None:
-    """Assert that batches of one group, also past an epoch, are those of its samples."""
-    samples = sampling.gather([trajectory(number) for number in range(6)], HIST10)
-    count = 3 * sampling.steps_per_epoch(samples) + 1
-    alone = islice(SampleGroups.alone(samples).batches(np.random.default_rng(1)), count)
-    for one, other in zip(alone, sampling.batches(samples, np.random.default_rng(1)), strict=False):
-        for ours, theirs in zip(one, other, strict=True):
-            np.testing.assert_array_equal(ours, theirs)
-
-
 def test_an_epoch_sees_every_busy_sample_once() -> None:
     """Assert that each busy sample of every group is drawn once an epoch, and groups are read in turn, once each."""
     shelf = Shelf()

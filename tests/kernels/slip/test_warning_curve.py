@@ -51,10 +51,3 @@ def test_without_quiet_slices_no_threshold_is_chosen() -> None:
     curve = alarms.warning_curve([prediction(np.full(300, 0.5), 150)])
     with pytest.raises(ValueError, match="without slip"):
         curve.threshold_for(1.0)
-
-
-def test_a_detector_that_always_alarms_gets_the_highest_threshold() -> None:
-    """Assert so, and that its price is five alarms per second."""
-    curve = alarms.warning_curve([prediction(np.ones(60_000))])
-    assert curve.threshold_for(1.0) == curve.threshold[-1]
-    assert curve.false_alarms_per_min[-1] == pytest.approx(300, rel=0.01)

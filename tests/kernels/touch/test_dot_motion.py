@@ -109,12 +109,3 @@ def test_a_gel_that_is_pressed_evenly_bulges_out_at_its_edge() -> None:
     assert (np.diff(out[1:]) > 0).all() and out[-1] > 5 * abs(out[0])
     inside = np.abs(dot_motion(LAYER, cells_about(line, 30.0), line)[:, :, PRESSURE].sum(axis=-1))
     assert inside.max() < 0.1 * out[-1]
-
-
-def test_dots_beyond_the_edges_are_no_dots_of_the_gel() -> None:
-    """Assert refusals of edges that hold no gel, or not all dots."""
-    with pytest.raises(ValueError, match="beyond the edges"):
-        cells_about(DOTS, 4.0, (-1.0, -40.0, 1.0, 40.0))
-    for edges in ((1.0, -9.0, 1.5, 9.0), (math.nan, -9.0, 9.0, 9.0)):
-        with pytest.raises(ValueError, match="edges_mm"):
-            LAYER._replace(edges_mm=edges).check()

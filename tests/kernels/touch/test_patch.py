@@ -8,7 +8,6 @@ import pytest
 from evetac_cli.kernels.touch import patch
 from evetac_cli.kernels.touch.dot_motion import (
     MOST_MODES,
-    DotModes,
     DotNoise,
     GelLayer,
     cells_about,
@@ -180,14 +179,3 @@ def test_patches_that_disagree_make_deviations_larger() -> None:
     assert sure.area_sd_mm2 == 0 and sure.patch.sum() == DISC.sum()
     assert unsure.area_sd_mm2 > 1
     assert unsure.sum_sd[NORMAL] > sure.sum_sd[NORMAL]
-
-
-def test_no_mode_of_nothing() -> None:
-    """Assert that the fewest dots that are told of have modes and a patch too: no number is infinite."""
-    few = MOTION[[0, 7, 40, 47]]
-    modes: DotModes = modes_of(few)
-    moved = np.einsum("dakc,kc->da", few, np.stack([6e3 * DISC, 0 * DISC, 15e3 * DISC]))
-    found = np.zeros((3, *CELLS.shape))
-    found[2] = DISC.reshape(CELLS.shape)
-    told = fit(modes, MIDDLE, found, modes.of(moved), modes.variance_mm2(NOISE, moved))
-    assert np.isfinite(told.gain).all() and np.isfinite(told.sum_sd).all() and (told.sum_sd > 0).all()

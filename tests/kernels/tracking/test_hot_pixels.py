@@ -1,7 +1,6 @@
 """Hot pixels: found, forgotten, and distinguished from edges."""
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX
@@ -60,14 +59,3 @@ def test_a_hot_pixel_counts_again_after_a_while() -> None:
         hot_filter.step(np.empty((0, 2)))
     assert hot_filter.pixel_events[401, 8] == 41 // 4
     assert len(hot_filter.step(np.array([[7, 400]]))) == 1
-
-
-@pytest.mark.parametrize("corner", [(0, 0), (639, 0), (0, 479), (639, 479)])
-def test_corners_and_beyond(corner: tuple[int, int]) -> None:
-    """Assert that a corner of the frame can be hot, and that events outside the frame count nowhere."""
-    hot_filter = Filter()
-    for _ in range(20):
-        hot_filter.step(np.array([corner]))
-    counted = int((hot_filter.pixel_events & 0x7FFF).sum())
-    assert hot_filter.step(np.array([corner, (640, 0), (0, 480), (300, 300)])).tolist() == [[300, 300]]
-    assert int((hot_filter.pixel_events & 0x7FFF).sum()) == counted + 2

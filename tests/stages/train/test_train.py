@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -135,23 +134,6 @@ def interrupted(job: Job, params: Train, monkeypatch: pytest.MonkeyPatch, at: in
     monkeypatch.setattr(networks, "SAVE_S", 0.0)
     with pytest.raises(KeyboardInterrupt):
         train.run(job, params, progress=stop)
-
-
-@pytest.mark.parametrize("held_bytes", [plan.HELD_BYTES, 80_000])
-def test_no_temporary_file_is_made(
-    trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, held_bytes: int
-) -> None:
-    """Assert that features that fit into memory, or do not, are trained on without a file but the outputs."""
-    monkeypatch.setattr(plan, "HELD_BYTES", held_bytes)
-    for name in ("TemporaryFile", "NamedTemporaryFile", "SpooledTemporaryFile", "mkstemp", "mkdtemp"):
-        monkeypatch.setattr(tempfile, name, lambda *_, **__: pytest.fail("a temporary file"))
-    seen: set[str] = set()
-
-    def look(*_: object) -> None:
-        seen.update(path.name for path in tmp_path.iterdir())
-
-    output, _ = run_stage(train, trials, small(max_steps=20), tmp_path, progress=look)
-    assert seen <= {output.name, output.with_suffix(".csv").name}
 
 
 def test_features_that_do_not_fit_into_memory_are_trained_on_in_groups(
@@ -481,18 +463,6 @@ def test_missing_features_are_named(tmp_path: Path, model: str, leave: tuple[str
     with pytest.raises(InputError) as refused:
         train.run(job, small(model=model))
     assert hint in str(refused.value)
-
-
-def test_a_gpu_that_is_not_there_is_refused(
-    trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Assert that --device cuda is an error in words where torch finds none."""
-    import torch
-
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    (job,) = train.jobs(trials, small(device="cuda"), tmp_path)
-    with pytest.raises(InputError, match="torch finds no GPU"):
-        train.run(job, small(device="cuda"))
 
 
 def test_a_trained_model_is_adapted(trials: list[Path], tmp_path: Path) -> None:
