@@ -22,7 +22,7 @@ from evetac_cli.sim.setup import scene_file, sensor_file
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.stages import gel_at_rest, identify, trim
-from evetac_cli.stages.identify import pressed
+from evetac_cli.stages.identify import gripper_rows, pressed
 from evetac_cli.stages.identify.sensor_text import Entry
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials import record
@@ -176,7 +176,7 @@ def test_what_no_recording_told(resting: Path, tmp_path: Path) -> None:
 
 def test_a_sensor_that_cannot_be(resting: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that an estimate out of range is refused with the recordings' names, and no file is left."""
-    monkeypatch.setattr(identify.gripper_rows, "rows", lambda *_: ([], {"noise_hz": Entry(1e6, None, "x")}))
+    monkeypatch.setattr(gripper_rows, "rows", lambda *_: ([], {"noise_hz": Entry(1e6, None, "x")}))
     with pytest.raises(InputError, match="noise_hz: ") as refused:
         identified([resting], tmp_path)
     assert refused.value.where == str(resting) and not list(tmp_path.iterdir())
