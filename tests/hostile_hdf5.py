@@ -70,14 +70,6 @@ def scalar_never_written(path: Path) -> None:
     put(path, shape=(), dtype=np.uint16)
 
 
-def as_dimension(path: Path, name: bytes) -> None:
-    """Call 2^40 rows that were never written the mere name of a dimension."""
-    put(path, shape=(2**40,), dtype=">f4")
-    with h5py.File(path, "r+") as h5:
-        h5[X].attrs["CLASS"] = np.bytes_("DIMENSION_SCALE")
-        h5[X].attrs["NAME"] = np.bytes_(name)
-
-
 def filtered(path: Path, *numbers: int, chunk: bytes | None = None, skipped: int = 0, rows: int = 0) -> None:
     """One chunk, through filters that may not even exist."""
     rows = rows or rows_of(path)
@@ -105,11 +97,6 @@ def text_without_end(path: Path) -> None:
             h5[name] = "some text"
         where = h5[name].id.get_offset()
     byte_patch(path, where, (2**32 - 1).to_bytes(4, "little"))
-
-
-def header_text(path: Path, text: str) -> None:
-    with h5py.File(path, "r+") as h5:
-        h5.attrs["header"] = text
 
 
 def header_with(path: Path, **changes: str) -> None:
@@ -148,11 +135,8 @@ ANYWHERE: dict[str, tuple[Change, str]] = {
     "virtual": (lambda path: virtual(path, str(other(path))), "stored in another file"),
     # is not there
     "2^33 rows": (lambda path: put(path, shape=(2**33,), dtype=np.uint16), "never written"),
-    "2^33 packed rows": (lambda path: put(path, shape=(2**33,), dtype="u2", compression="gzip"), "never written"),
     "some of 2^40 rows": (some_chunks, "never written"),
-    "2^40 rows without a column": (lambda path: put(path, shape=(2**40, 0), dtype=np.uint16), "never written"),
     "scalar": (scalar_never_written, f"never written|{OTHER_SHAPE}"),
-    "false dimension": (lambda path: as_dimension(path, b"x"), "never written"),
     # is packed to harm
     "chunk of 256 MB": (lambda path: filtered(path, 1, rows=2**27, chunk=b"x" * 900), "never written"),
     "packed twice": (lambda path: filtered(path, 1, 1), "compressed twice"),

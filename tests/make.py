@@ -86,6 +86,17 @@ def truth_arrays(dots_px: Any, slip: Any = 0, normal_n: Any = 0.0, shear_n: Any 
     }
 
 
+def label_arrays(label: Any, onset: int, flow_px: Any = np.nan) -> dict[str, Any]:
+    """Return the datasets of labels of each slice, with this onset; flow_px: of all slices or of each."""
+    return {
+        "label": np.asarray(label, np.int8),
+        "relative_flow_px": np.full(len(label), flow_px, np.float32),
+        "onset_slice": np.int64(onset),
+        "confidence": np.float64(1.0),
+        "flow_pairs_computed": np.int64(0),
+    }
+
+
 def write_recording(path: Path, arrays: dict[str, Any], *, simulated: bool = False, **parameters: Any) -> Path:
     """Write a recording of these datasets, like an import does, and return its path."""
     recipe = Recipe("recording", 1, parameters, content=content_digest(arrays), simulated_source=simulated)
@@ -102,3 +113,8 @@ def play_trial(trial: Any, slices: int | None = None) -> tuple[list[dict[str, An
         events.append(trial.step())
         rows.append(trial.truth())
     return rows, events
+
+
+def everything(folder: Path) -> list[str]:
+    """Return the names of all files and folders below."""
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))

@@ -18,7 +18,7 @@ from evetac_cli.store.files import write_stage
 from evetac_cli.store.layout.contents import NewContents
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.streams import mark_row
-from tests.make import event_arrays, truth_arrays, write_recording
+from tests.make import event_arrays, label_arrays, truth_arrays, write_recording
 
 SLICES = 24
 ROWS, COLUMNS = 3, 4
@@ -129,30 +129,16 @@ def _label() -> Any:
 
 def labels(path: Path, of: Header) -> Header:
     """Write labels with slip that starts at ONSET."""
-    arrays = {
-        "label": _label(),
-        "relative_flow_px": np.full(SLICES, np.nan, np.float32),
-        "onset_slice": np.int64(ONSET),
-        "confidence": np.float64(1.0),
-        "flow_pairs_computed": np.int64(0),
-    }
-    return write_stage(path, Recipe("labels", 1, {"method": "truth"}, parents=(of,)), arrays, force=True)
+    recipe = Recipe("labels", 1, {"method": "truth"}, parents=(of,))
+    return write_stage(path, recipe, label_arrays(_label(), ONSET), force=True)
 
 
 def unsure_labels(path: Path, of: Header) -> Header:
     """Write labels with an uncertain onset, within a slice of ONSET."""
     label = _label()
     label[ONSET - 1 : ONSET + 2] = -1
-    slices = {"onset_slice": ONSET, "earliest_slice": ONSET - 1, "latest_slice": ONSET + 1}
-    arrays = {
-        "label": label,
-        "relative_flow_px": np.full(SLICES, np.nan, np.float32),
-        **{name: np.int64(slice_) for name, slice_ in slices.items()},
-        "abstained": np.uint8(1),
-        "doubt": "it slides slowly",
-        "confidence": np.float64(1.0),
-        "flow_pairs_computed": np.int64(0),
-    }
+    interval = {"earliest_slice": np.int64(ONSET - 1), "latest_slice": np.int64(ONSET + 1)}
+    arrays = label_arrays(label, ONSET) | interval | {"abstained": np.uint8(1), "doubt": "it slides slowly"}
     return write_stage(path, Recipe("labels", 1, {"method": "event-flow"}, parents=(of,)), arrays, force=True)
 
 

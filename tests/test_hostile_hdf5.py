@@ -19,13 +19,9 @@ from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from tests.hostile_hdf5 import ANYWHERE, IN_HEADERS, IN_OUR_OWN, Change, X, rows_of
 from tests.patience import PATIENCE_S
+from tests.store.recordings.test_segments import STATIC
 
 EVENTS = 200
-STATIC: dict[str, Any] = {
-    "sensor/frame_px": np.array([640, 480], np.int32),
-    "sensor/name": "evetac",
-    "t_offset": np.int64(0),
-}
 
 
 def columns() -> dict[str, Any]:
@@ -118,14 +114,9 @@ ON_RECORDINGS = [
     "label",
     "track",
     "featurize",
-    "calibrate",
-    "track-rgb",
     "export",
-    "export --format dsec",
-    "export --format parquet",
     "export --format lerobot -o out",
     "evaluate vibration",
-    "evaluate grasp",
     "record --camera replay:{}",
 ]
 

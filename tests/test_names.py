@@ -42,11 +42,3 @@ def test_scenes(table: tuple[str, ...], kinds: tuple[str, ...]) -> None:
 def test_sensors() -> None:
     """Assert that the table names every sensor, and the ranges from which others are sampled."""
     assert tuple(resources.table("sensors")) == names.SENSORS
-
-
-def test_texts_made_from_a_table() -> None:
-    """Assert how names stand in help and in errors, and what is left of those with placeholders."""
-    table = {"sim": "", "dv[:SERIAL]": "by a library", "PORT[:ID]": "", "fixed:N": "N ticks"}
-    assert names.words(table) == "sim; dv[:SERIAL]: by a library; PORT[:ID]; fixed:N: N ticks"
-    assert names.without_placeholders(table) == ("sim", "dv", "fixed")
-    assert names.either(table) == "sim, dv[:SERIAL], PORT[:ID] or fixed:N"

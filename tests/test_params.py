@@ -167,14 +167,6 @@ def test_both_ends_of_every_range() -> None:
         assert f"found:    {outside}" in message
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_numbers_that_are_none(tmp_path: Path, value: float) -> None:
-    """Assert that NaN and infinity are refused as a flag and in a config file, also where there is no upper end."""
-    assert "--threshold-px: not a finite number" in refusal(Label, "label", {"threshold_px": value})
-    text = f"[label]\nthreshold_px = {'nan' if math.isnan(value) else '+inf' if value > 0 else '-inf'}\n"
-    assert "not a finite number" in refusal(Label, "label", {}, config(tmp_path, text))
-
-
 def test_fields_are_described() -> None:
     """Assert that every parameter has a sentence of help, a unit if its name ends in one, and a default it allows."""
     for _, item in ALL_FIELDS:

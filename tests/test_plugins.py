@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -406,15 +406,6 @@ def test_a_package_counts_as_used_where_it_has_a_part(add: Add) -> None:
     plugins.find(plugins.CONTROLLERS, "full", PluginLaw)
     assert plugins.used() == {"numpy": "2.0", "evetac": "2.0"}
     assert {**time_host_versions(), "at": ""} == {**before, "at": ""}
-
-
-@pytest.mark.parametrize("missing", [{"__path__": None, "__file__": None}])
-def test_a_module_without_a_folder(add: Add, missing: dict[str, Any]) -> None:
-    """Assert that a module which lies nowhere has no files, in words."""
-    vars(module := ModuleType("nowhere")).update(missing)
-    add(plugins.SCENES, lost=module)
-    with pytest.raises(InputError, match="has no folder"):
-        plugins.find_file(plugins.SCENES, "lost")
 
 
 def test_an_error_in_a_plug_in_is_its_own(

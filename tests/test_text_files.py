@@ -136,20 +136,6 @@ def test_hostile_json(tmp_path: Path, text: str | bytes) -> None:
 GRID = np.stack(np.meshgrid(50.0 + 60 * np.arange(8), 40.0 + 60 * np.arange(7)), axis=2).reshape(-1, 2)
 
 
-@pytest.mark.parametrize("radius_px", [641.0, 1e-300])
-def test_a_flipped_pickle_writes_no_calibration(tmp_path: Path, radius_px: float) -> None:
-    """Assert that what is written can be read again: a radius that no dot has is refused, and nothing is written."""
-    source, out = tmp_path / "grid.pkl", tmp_path / "o.json"
-    source.write_bytes(pickle.dumps((GRID, np.full((len(GRID), 1), radius_px))))
-    chosen = Calibrate(source=source, gel="cut")
-    (job,) = calibrate.jobs([], chosen, out)
-    with pytest.raises(InputError, match=r"grid\.pkl"):
-        calibrate.run(job, chosen)
-    assert not out.exists()
-    source.write_bytes(pickle.dumps((GRID, np.full((len(GRID), 1), 20.0))))
-    assert calibrate.run(job, chosen).made
-
-
 @pytest.mark.parametrize("flags", [{}, {"irregular": True}], ids=["", "no grid"])
 def test_a_flipped_centre_writes_no_calibration(tmp_path: Path, flags: dict[str, Any]) -> None:
     """Assert that no bit of a centre makes a calibration that cannot be read: each is refused, or read back."""

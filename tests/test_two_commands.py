@@ -80,29 +80,3 @@ def test_setup_all_brings_every_extra() -> None:
     """Assert that setup-all installs all that is there, and setup not more than pictures, pages and formats need."""
     assert extras_of("EVERY") == set(PROJECT["optional-dependencies"]) == {*EXTRAS, "dev", "docs"}
     assert extras_of("USED") == {"plot", "convert"}
-
-
-def test_torch_comes_from_the_index_that_is_named() -> None:
-    """Assert that pip is told of another index where one is named, of none where none is, and that docs name it."""
-    index = "https://download.pytorch.org/whl/cpu"
-    told = f"--extra-index-url {index}"
-    assert told in planned("setup", f"TORCH_INDEX={index}") and "index-url" not in planned("setup", "TORCH_INDEX=")
-    for page in ("README.md", "docs/install.md", "docs/first-hour.md"):
-        assert f"make setup TORCH_INDEX={index}" in (ROOT / page).read_text(), page
-
-
-@pytest.mark.parametrize(
-    ("page", "row"),
-    [("docs/install.md", r"^\| `(\w+)` \|"), ("docs/troubleshooting.md", r"^\| `pip install '\.\[(\w+)\]'` \|")],
-)
-def test_tables_of_extras_are_whole(page: str, row: str) -> None:
-    """Assert that a page lists every extra that a command may lack."""
-    assert set(re.findall(row, (ROOT / page).read_text(), re.MULTILINE)) == set(EXTRAS)
-
-
-def test_docs_say_what_setup_installs() -> None:
-    """Assert that what `make setup` prints is on the page of the first hour, and that docs say what it leaves out."""
-    said = next(line for line in planned("setup").splitlines() if line.startswith("echo"))
-    shown = said.split("'")[1].replace("nothing-here", ".venv")
-    assert shown in (ROOT / "docs" / "first-hour.md").read_text().splitlines()
-    assert "make setup-all" in (ROOT / "docs" / "troubleshooting.md").read_text()

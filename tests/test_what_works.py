@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 
-from evetac_cli.commands import EVALUATE, PIPELINE
 from evetac_cli.commands.calibrate import Calibrate
 from evetac_cli.devices import cameras
 from evetac_cli.formats import imports
@@ -69,16 +68,6 @@ def test_the_networks_of_each_kind() -> None:
     said = row("train", "networks of dots")[1][2]
     assert re.findall(r"(\d+) (?:rows|columns)", said) == [str(LEAST_ROWS), str(LEAST_COLUMNS)]
     assert "{} x {} px".format(*GEL_PX) in PAGE
-
-
-def test_commands_and_flags_of_the_table() -> None:
-    """Assert that what is named in the table are commands, networks or flags of calibrate."""
-    commands = {command.name for command in PIPELINE} | {f"evaluate {command.name}" for command in EVALUATE}
-    commands |= {"view", "report", "export", "share", "train --adapt shipped", "train-force --method touch"}
-    flags = {"--gel cut", "--rows M --columns N", "--irregular", "--gel"}
-    for first, cells in ROWS.items():
-        assert names(first) <= commands | set(ARCHITECTURES)
-        assert names(" ".join(cells)) <= flags
 
 
 def test_the_grid_by_hand(tmp_path: Path) -> None:

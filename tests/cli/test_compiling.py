@@ -41,14 +41,6 @@ def test_a_long_wait_is_announced(clock: list[float], capsys: pytest.CaptureFixt
     assert capsys.readouterr().err == ""
 
 
-def test_quiet_is_quiet(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
-    """Assert that nothing is said with --quiet."""
-    with compiling.announced(quiet=True):
-        compile_for(clock, 60.0, 60.0)
-        assert gc.isenabled()
-    assert capsys.readouterr().err == ""
-
-
 def test_an_interrupt_that_was_swallowed_comes_up_after_the_function(clock: list[float]) -> None:
     """Assert that it is raised again by the next function, but neither while it ends the command nor in cleaning up."""
     pressed: list[bool] = []

@@ -17,77 +17,42 @@ from typing import Any
 import numpy as np
 import pytest
 
+from evetac_cli.events import Events
 from evetac_cli.resources import PACKAGE
-from evetac_cli.store.files import write_stage
-from evetac_cli.store.layout.provenance import Header, Recipe
+from tests.conftest import Made
+from tests.make import event_arrays, write_recording
 from tests.patience import PATIENCE_S
 
 BOUND_S = 20.0  # on a machine that is not busy it is 1 s
 MOMENTS_S = (0.8, 3.0)  # after the start of the program: while it loads modules, and at work
 SLICES, EVENTS_A_SLICE = 200_000, 10
-ROWS, COLUMNS = 7, 8
 FRAME_PX = (640, 480)
-GRID_PX = np.stack(np.meshgrid(60.0 * np.arange(1, COLUMNS + 1), 60.0 * np.arange(1, ROWS + 1)), axis=-1)
+GRID_PX = np.stack(np.meshgrid(60.0 * np.arange(1, 9), 60.0 * np.arange(1, 8)), axis=-1)
 SENSOR: dict[str, Any] = {
-    "sensor/frame_px": np.array(FRAME_PX, np.int32),
     "sensor/name": "evetac",
     "sensor/dot_xy_px": GRID_PX,
     "sensor/dot_radius_px": np.float64(12.0),
     "sensor/window_px": np.array([540, 0, 640, 480], np.int32),
 }
-TRAINED_SLICES, ONSET = 2000, 1500
-
-
-def recording(path: Path, seed: int) -> Header:
-    """Random events all over the frame, as many in every slice, for some minutes."""
-    rng = np.random.default_rng(seed)
-    count = SLICES * EVENTS_A_SLICE
-    arrays = {
-        "events/t": np.arange(count, dtype=np.int64) * (1000 // EVENTS_A_SLICE),
-        "events/x": rng.integers(0, FRAME_PX[0], count).astype(np.uint16),
-        "events/y": rng.integers(0, FRAME_PX[1], count).astype(np.uint16),
-        "events/p": rng.integers(0, 2, count).astype(np.uint8),
-        "ms_to_idx": np.arange(SLICES + 1, dtype=np.int64) * EVENTS_A_SLICE,
-        "t_offset": np.int64(0),
-        **SENSOR,
-    }
-    return write_stage(path, Recipe("recording", 1, {}, seed=seed, simulated_source=True), arrays)
-
-
-def features(path: Path, seed: int) -> None:
-    """What a detector can be trained on for hours."""
-    shape = (TRAINED_SLICES, ROWS * COLUMNS)
-    moved = np.random.default_rng(seed).random((*shape, 2), np.float32)
-    arrays = {
-        "displacement_px": np.linalg.norm(moved, axis=2),
-        "displacement_xy_px": moved,
-        "events_per_dot": np.ones(shape, np.int32),
-        "events_total": np.full(TRAINED_SLICES, 40, np.int32),
-        "events_outside": np.full(TRAINED_SLICES, 30, np.int32),
-        "label": (np.arange(TRAINED_SLICES) >= ONSET).astype(np.int8),
-        "onset_slice": np.int64(ONSET),
-        "dot_shape": np.array([ROWS, COLUMNS], np.int32),
-    }
-    parent = Recipe("recording", 1, {}, seed=seed, simulated_source=True).header()
-    write_stage(path, Recipe("features", 1, {}, parents=(parent,)), arrays)
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Files to work on by their names, each made when it is first asked for."""
+def file_of(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Files to work on by their names, a or b and a kind: features of the session, and recordings of some minutes."""
     folder = tmp_path_factory.mktemp("inputs")
 
     @cache
-    def make(name: str) -> Path:
-        path = folder / name
-        kind, seed = name.split(".")[-2], int(name.startswith("b."))
-        if kind == "recording":
-            recording(path, seed)
-        elif kind == "features":
-            features(path, seed)
-        return path
+    def find(name: str) -> Path:
+        seed = "ab".index(name[0])
+        if "recording" not in name:
+            return made.beside(made.recordings[seed], "features")
+        rng, count = np.random.default_rng(seed), SLICES * EVENTS_A_SLICE
+        t = np.arange(count, dtype=np.int64) * (1000 // EVENTS_A_SLICE)
+        x, y = (rng.integers(0, most, count).astype(np.uint16) for most in FRAME_PX)
+        events = Events(t, x, y, rng.integers(0, 2, count).astype(np.uint8))
+        return write_recording(folder / name, event_arrays(events, SLICES) | SENSOR, simulated=True)
 
-    return make
+    return find
 
 
 # What is in braces is a file to work on; the output goes into an empty folder.
@@ -104,9 +69,9 @@ COMMANDS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("moment_s", MOMENTS_S)
 @pytest.mark.parametrize("command", COMMANDS)
-def test_ctrl_c_ends_the_program(command: str, moment_s: float, made: Callable[[str], Path], tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_program(command: str, moment_s: float, file_of: Callable[[str], Path], tmp_path: Path) -> None:
     """Assert that Ctrl-C ends it with exit code 130 and a word, and that nothing half done is left."""
-    words = [_filled(word, made, tmp_path) for word in COMMANDS[command].split()]
+    words = [_filled(word, file_of, tmp_path) for word in COMMANDS[command].split()]
     run = subprocess.Popen(
         [sys.executable, "-m", "evetac_cli", *words],
         cwd=PACKAGE.parent,
@@ -135,7 +100,7 @@ def test_ctrl_c_ends_the_program(command: str, moment_s: float, made: Callable[[
     assert [path for path in tmp_path.rglob("*") if path.suffix in (".tmp", ".part")] == []
 
 
-def _filled(word: str, made: Callable[[str], Path], out: Path) -> str:
+def _filled(word: str, file_of: Callable[[str], Path], out: Path) -> str:
     start, brace, rest = word.partition("{")
     name, _, end = rest.partition("}")
-    return f"{start}{made(name)}{end}" if brace else str(out) if word == "OUT" else word
+    return f"{start}{file_of(name)}{end}" if brace else str(out) if word == "OUT" else word

@@ -5,14 +5,12 @@ import json
 import os
 import shutil
 import signal
-import socket
 import socketserver
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -245,45 +243,6 @@ def test_no_stranger_gives_work_to_the_own_cluster(own_cluster: Any, credentials
             asyncio.run(call(address))
 
 
-def test_the_own_cluster_serves_nothing_by_http(own_cluster: Any) -> None:
-    """Assert that the ports of scheduler and worker at which Dask has its pages are closed, and others answer none."""
-
-    def of_scheduler(dask_scheduler: Any) -> list[int]:
-        return [service.port for service in dask_scheduler.services.values()]
-
-    def of_worker(dask_worker: Any) -> list[int]:
-        return [service.port for service in dask_worker.services.values()]
-
-    closed = own_cluster.run_on_scheduler(of_scheduler) + next(iter(own_cluster.run(of_worker).values()))
-    assert len(closed) == 2 and 8787 not in closed
-    for port in closed:
-        with pytest.raises(ConnectionRefusedError), socket.create_connection(("127.0.0.1", port), 5):
-            pass
-    for address in addresses(own_cluster):
-        with socket.create_connection(("127.0.0.1", int(address.rpartition(":")[2])), 5) as connection:
-            connection.sendall(b"GET /json/identity.json HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
-            connection.settimeout(5)
-            with suppress(ConnectionResetError):
-                assert b"HTTP" not in connection.recv(4096)
-
-
-def test_folders_of_the_own_cluster_are_this_users(own_cluster: Any) -> None:
-    """Assert that those of scheduler and worker lie in one of mode 0700 whose name nobody can guess."""
-
-    def of_scheduler(dask_scheduler: Any) -> str:
-        return str(dask_scheduler.local_directory)
-
-    def of_worker(dask_worker: Any) -> str:
-        return str(dask_worker.local_directory)
-
-    folders = [own_cluster.run_on_scheduler(of_scheduler), *own_cluster.run(of_worker).values()]
-    assert len(set(folders)) == 2
-    for folder in folders:
-        above = [path for path in Path(folder).parents if path.name.startswith("evetac-dask-")]
-        assert len(above) == 1
-        assert (above[0].stat().st_mode & 0o777, above[0].stat().st_uid) == (0o700, os.geteuid())
-
-
 def test_no_cluster_is_started_without_credentials(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert words and a line that installs it where cryptography is missing, before anything is started."""
     pytest.importorskip("distributed")
@@ -447,70 +406,6 @@ def test_a_cluster_that_runs_already(tmp_path: Path, started: list[subprocess.Po
     assert last.ended()["ended"] == "interrupted"
     assert lives(process)  # it is the cluster's
     assert left(work) == []
-
-
-def with_certificates(folder: Path) -> None:
-    """Make all Dask processes started from here use one certificate, as docs/cluster.md does by hand.
-
-    Without a certificate, any user who can reach the scheduler, also on this computer, can run programs as its owner.
-    """
-    import dask
-    from distributed import Security
-
-    made = Security.temporary()
-    files = {"cert": made.tls_client_cert, "key": made.tls_client_key}
-    for name, text in files.items():
-        path = folder / f"cluster-{name}.pem"
-        path.unlink(missing_ok=True)
-        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
-            file.write(text)
-    tls = "DASK_DISTRIBUTED__COMM__TLS__"
-    os.environ[f"{tls}CA_FILE"] = str(folder / "cluster-cert.pem")
-    for role in ("SCHEDULER", "WORKER", "CLIENT"):
-        os.environ |= {f"{tls}{role}__{name.upper()}": str(folder / f"cluster-{name}.pem") for name in files}
-    os.environ["DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION"] = "True"
-    for role in ("SCHEDULER", "WORKER"):
-        os.environ[f"DASK_DISTRIBUTED__{role}__HTTP__ROUTES"] = "[]"
-    dask.config.refresh()
-
-
-@pytest.mark.slow
-def test_a_cluster_with_certificates(
-    tmp_path: Path, started: list[subprocess.Popen[Any]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Assert that one by hand, as docs/cluster.md has it, does the work of whoever has its certificate alone."""
-    import dask
-
-    (tmp_path / "standing_stage.py").write_text(STAGE)
-    with monkeypatch.context() as made:
-        made.setattr(os, "environ", dict(os.environ))
-        with_certificates(tmp_path)
-        tls = {name: value for name, value in os.environ.items() if name.startswith("DASK_")}
-    dask.config.refresh()
-    assert ((tmp_path / "cluster-key.pem").stat().st_mode & 0o777) == 0o600
-    scheduler = tmp_path / "scheduler.json"
-    for what in (["scheduler", "--port", "0"], ["worker", "--nthreads", "1", "--preload", "standing_stage"]):
-        one = [sys.executable, "-m", f"distributed.cli.dask_{what[0]}", "--scheduler-file", str(scheduler), *what[1:]]
-        started.append(
-            subprocess.Popen(
-                [*one, "--host", "127.0.0.1", "--protocol", "tls", "--no-dashboard"],
-                cwd=tmp_path,
-                env=environment(tmp_path) | tls,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                start_new_session=True,
-            )
-        )
-        assert until(lambda: scheduler.exists() and scheduler.read_text())
-    address = json.loads(scheduler.read_text())["address"]
-    assert address.startswith("tls://127.0.0.1:")
-    refused = run(started, tmp_path, f"dask:{address}", "quick-1").ended()
-    assert "requires a certificate" in refused["ended"] and refused["jobs"] == {}
-    refused = run(started, tmp_path, f"dask:{address.replace('tls', 'tcp')}", "quick-1").ended()
-    assert "no Dask scheduler answers" in refused["ended"] and "Traceback" not in refused["said"]
-    for name, value in tls.items():
-        monkeypatch.setenv(name, value)
-    assert run(started, tmp_path, f"dask:{address}", "quick-1").ended()["jobs"] == {"quick-1": "made"}
 
 
 def arrays(path: Path) -> dict[str, Any]:

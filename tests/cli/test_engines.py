@@ -11,15 +11,6 @@ from evetac_cli.jobs import Job
 
 
 @pytest.mark.parametrize(
-    ("text", "engine"),
-    [("local", Engine("local")), ("dask", Engine("dask")), ("dask:tls://a:1", Engine("dask", "tls://a:1"))],
-)
-def test_engines_have_names(text: str, engine: Engine) -> None:
-    """Assert that each engine is read as it is written."""
-    assert Engine.parse(text) == engine
-
-
-@pytest.mark.parametrize(
     "text",
     ["", "Dask", "dask:", "local:tcp://a:1", "dask:8786", "ray", "tcp://a:1", "dask:http://a:1", "dask:inproc://1"],
 )

@@ -38,7 +38,7 @@ from evetac_cli.errors import (
 )
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.stages import per_file
-from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.store.files import write_stage
 from evetac_cli.store.layout.provenance import Recipe
 
 COMMANDS = [([command.name], command) for command in PIPELINE]
@@ -164,14 +164,6 @@ ERRORS = [
 ]
 
 
-def test_error_says_where_expected_found_try(label_is: Any, files: list[str]) -> None:
-    """Assert that all parts of an error are printed."""
-    label_is(raising(InputError("bad", where="a.h5", expected="this", found="that", hint="the other")))
-    assert evetac("label", files[0]).stderr == (
-        "error: a.h5: bad\n  expected: this\n  found:    that\n  try:      the other\n"
-    )
-
-
 def test_verbose_has_the_traceback(label_is: Any, files: list[str]) -> None:
     """Assert that -v shows where an error was raised."""
     label_is(raising(InputError("m")))
@@ -183,12 +175,6 @@ def test_verbose_has_the_traceback(label_is: Any, files: list[str]) -> None:
     result = evetac("label", files[0], "-v")
     assert (result.exit_code, result.stderr.splitlines()[-1]) == (2, "error: x.h5: Permission denied")
     assert "Traceback" in result.stderr
-
-
-def test_errors_of_ours_are_not_hidden(label_is: Any, files: list[str]) -> None:
-    """Assert that a bug is not dressed up as an error of the user."""
-    label_is(raising(ZeroDivisionError()))
-    assert isinstance(evetac("label", files[0]).exception, ZeroDivisionError)
 
 
 def test_an_error_does_not_stop_the_others(label_is: Any, files: list[str]) -> None:
@@ -226,26 +212,6 @@ def test_json_shape(label_is: Any, files: list[str]) -> None:
     assert evetac("label", *files, "--json", "-q").stderr == ""
 
 
-def test_json_of_evaluate_says_its_subject(monkeypatch: pytest.MonkeyPatch, files: list[str]) -> None:
-    """Assert that the command of a subject is `evaluate slip`, and its own summary is shown."""
-    answer = Outcome([{"f1": 0.5}], True, {"f1_mean": 0.5, "report": "x.report.h5"})
-    stage = module_of(lambda files, chosen, out: [Job(tuple(files), Path("x.report.h5"))], lambda *_, **__: answer)
-    monkeypatch.setitem(sys.modules, "evetac_cli.evaluate.slip", stage)
-    shown = json.loads(evetac("evaluate", "slip", *files, "--json").stdout)
-    assert shown == {"command": "evaluate slip", "simulated": True, "rows": answer.rows, "summary": answer.summary}
-
-
-def test_json_where_everything_failed(label_is: Any, files: list[str]) -> None:
-    """Assert that --json is still one valid object, without rows, with every error, which stderr has too."""
-    label_is(raising(InputError("m")))
-    result = evetac("label", *files, "--json")
-    assert result.exit_code == 2
-    shown = json.loads(result.stdout)
-    assert (shown["rows"], shown["simulated"], shown["summary"]) == ([], None, {"made": 0, "up_to_date": 0})
-    assert [shown["error"], *shown["more_errors"]] == [{"kind": "InputError", "message": "m", "exit_status": 2}] * 3
-    assert result.stderr.count("error: m") == 3
-
-
 PARTS = {"message": "m", "where": "w", "expected": "e", "found": "f", "hint": "h", "kept": "k"}
 ENDINGS: list[tuple[BaseException, int, dict[str, str]]] = [
     (error, code, {"kind": type(error).__name__, "message": "m"}) for error, code in ERRORS
@@ -268,19 +234,6 @@ ENDINGS += [
     ),
     (ZeroDivisionError("bug"), 1, {"kind": "InternalError", "message": "internal error: ZeroDivisionError: bug"}),
 ]
-
-
-def test_a_library_that_is_missing_is_said_with_the_extra_to_install(label_is: Any, files: list[str]) -> None:
-    """Assert words and no `internal error`; a module of our own that is missing stays a defect."""
-    label_is(raising(ModuleNotFoundError("No module named 'rosbags'", name="rosbags")))
-    result = evetac("label", files[0])
-    assert result.exit_code == 1
-    assert "error: the library rosbags is not installed" in result.stderr
-    assert install_hint("convert") in result.stderr
-    label_is(raising(ModuleNotFoundError("No module named 'h5py'", name="h5py")))
-    assert f"try:      {install_hint()}" in evetac("label", files[0]).stderr
-    label_is(raising(ModuleNotFoundError("No module named 'evetac_cli.x'", name="evetac_cli.x")))
-    assert isinstance(evetac("label", files[0]).exception, ModuleNotFoundError)
 
 
 @pytest.mark.parametrize(("error", "code", "expected"), ENDINGS, ids=lambda value: type(value).__name__)
@@ -321,7 +274,6 @@ def test_json_has_the_rows_of_what_was_kept(label_is: Any, files: list[str], err
         (["label", "a.recording.h5", "--nonsense"], "label", "--nonsense"),
         (["label"], "label", "Missing argument"),
         (["evaluate", "slip", "--nonsense"], "evaluate slip", "--nonsense"),
-        (["nonsense"], "", "nonsense"),
         (["--nonsense", "label"], "", "--nonsense"),
         (["info"], "info", "Missing argument"),
     ],
@@ -383,15 +335,6 @@ def test_what_people_see_and_its_verdict(monkeypatch: pytest.MonkeyPatch, files:
     assert "steps_a_slice" in evetac("evaluate", "slip", *files, "-v").stdout
     shown = evetac("evaluate", "slip", *files, "--json", "-q")
     assert (json.loads(shown.stdout)["rows"], shown.stderr) == (answer.rows, "")
-
-
-def test_up_to_date_is_said(label_is: Any, files: list[str]) -> None:
-    """Assert that a run without work ends well and says so."""
-    label_is(skipped)
-    result = evetac("label", *files)
-    assert result.exit_code == 0
-    assert result.stderr == "label: up to date, nothing to do\n"
-    assert result.stdout.splitlines()[-1] == "3 files up to date"
 
 
 def test_quiet(label_is: Any, files: list[str]) -> None:
@@ -547,17 +490,6 @@ def report(files: list[str]) -> Path:
     return Path("a.slip.report.h5")
 
 
-def test_info(report: Path) -> None:
-    """Assert that info shows a file in words and, with --json, in the one shape of all results."""
-    result = evetac("info", report)
-    assert result.exit_code == 0
-    assert "a.slip.report.h5" in result.stdout
-    shown = json.loads(evetac("info", report, report, "--json").stdout)
-    assert (shown["command"], shown["simulated"], shown["summary"]) == ("info", False, {"files": 2})
-    with StageFile(report) as file:
-        assert [row["id"] for row in shown["rows"]] == [file.header["id"]] * 2
-
-
 def test_info_of_files_of_which_some_are_foreign(report: Path, files: list[str]) -> None:
     """Assert that a foreign file hides no other, in words and in JSON, and gives the exit code."""
     given = (files[0], report, files[1])
@@ -572,17 +504,6 @@ def test_info_of_files_of_which_some_are_foreign(report: Path, files: list[str])
     Path("mixed").mkdir()
     shutil.copy(report, "mixed")
     assert json.loads(evetac("info", "mixed", report, "--json").stdout)["summary"] == {"files": 2}
-
-
-def test_validate(report: Path, files: list[str]) -> None:
-    """Assert that validate ends with 0 for valid files, and with 2 and a row for each where one is not."""
-    assert evetac("validate", report).exit_code == 0
-    result = evetac("validate", report, files[0], "none.h5", "--json")
-    assert result.exit_code == 2
-    shown = json.loads(result.stdout)
-    assert [row["valid"] for row in shown["rows"]] == [True, False, False]
-    assert shown["summary"] == {"files": 3, "invalid": 2, "not_checked": 0}
-    assert "no such file" in shown["rows"][2]["faults"]
 
 
 def test_parts_of_a_job_come_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

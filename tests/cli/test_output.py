@@ -147,12 +147,6 @@ def test_a_signal_in_each_phase_ends_in_words(report: Path, module: str, name: s
     assert "Traceback" not in done.stderr and "xception" not in done.stderr
 
 
-def test_a_signal_at_the_very_start_is_json_too(report: Path) -> None:
-    """Assert that a program that reads JSON gets it whenever the signal comes."""
-    done = patched(AT_IMPORT.format(module="typer", signal="SIGTERM"), "info", report, "--json")
-    assert (done.returncode, json.loads(done.stdout)["error"]["exit_status"]) == (130, 130)
-
-
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGINT"])
 def test_a_signal_at_the_very_end_is_silent(report: Path, name: str) -> None:
     """Assert that a signal after the result was printed ends the program without any traceback."""

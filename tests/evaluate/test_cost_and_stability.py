@@ -78,12 +78,6 @@ def small(monkeypatch, tmp_path):
     monkeypatch.setitem(stability.PARTS, "sim", few)
 
 
-@pytest.fixture
-def pictures(small, monkeypatch):
-    """With pictures after all."""
-    monkeypatch.setattr(picture, "beside", BESIDE)
-
-
 def evaluate(*arguments):
     wide = {"COLUMNS": "400", "TERM": "dumb", "NO_COLOR": "1"}
     return CliRunner().invoke(main.app, ["evaluate", *map(str, arguments)], env=wide)
@@ -123,15 +117,6 @@ def test_a_report_is_kept(name, stage, cls):
 
 
 @each
-def test_progress_ends_at_its_total(name, stage, cls):
-    """Assert that progress rises to the total announced from the start."""
-    reports = []
-    run_stage(stage, [], cls(), progress=lambda done, total: reports.append((done, total)))
-    assert [done for done, _ in reports] == list(range(1, reports[-1][1] + 1))
-    assert len({total for _, total in reports}) == 1
-
-
-@each
 def test_interruption_leaves_nothing(name, stage, cls, tmp_path):
     """Assert that Ctrl-C while measuring leaves no file."""
 
@@ -163,23 +148,6 @@ def test_cost_of_the_simulator():
 
 
 @needs_matplotlib
-@pytest.mark.slow
-def test_the_picture_lies_beside_the_report(pictures, tmp_path):
-    """Assert that the picture has the report's name, is drawn again only where it is missing, and leaves no trace."""
-    output, outcome = run_stage(cost, [], EvaluateCost(), tmp_path / "here.h5")
-    picture = tmp_path / "here.png"
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    assert outcome.summary["plot"] == str(picture)
-    written = picture.stat().st_mtime_ns
-    assert "plot" not in run_stage(cost, [], EvaluateCost(), output)[1].summary
-    assert picture.stat().st_mtime_ns == written
-    picture.unlink()
-    run_stage(cost, [], EvaluateCost(), output)
-    assert picture.exists()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["here.h5", "here.png"]
-
-
-@needs_matplotlib
 def test_a_picture_that_cannot_be_written(tmp_path):
     """Assert that this is an error in words, and leaves nothing behind."""
     (tmp_path / "sim.cost.report.png").mkdir()
@@ -202,15 +170,6 @@ def test_lines_of_the_picture():
     axes = Figure().subplots()
     draw_panel(axes, CAMERA, "error_share_count")
     assert axes.get_legend_handles_labels()[1] == ["real time"]
-
-
-def test_a_terminal_gets_the_best_settings():
-    """Assert that of each error the least and the fastest are named."""
-    shown, (late, _) = cost.for_people(CAMERA, EvaluateCost(part="sim"))
-    assert shown == CAMERA
-    least, fastest = late.split("; ")
-    assert "with tone, 4 scans, 0.3 in 400 us" in least
-    assert "fastest with tone, 1 scans, 5 in 100 us" in fastest
 
 
 def rows_by_hand():

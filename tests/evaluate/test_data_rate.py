@@ -18,7 +18,7 @@ from evetac_cli.inspect import validate
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.read import open_recording
-from tests.make import event_arrays, events_at, run_stage, truth_arrays, write_recording
+from tests.make import event_arrays, events_at, label_arrays, run_stage, truth_arrays, write_recording
 
 TOUCH, LOST, ONSET, SLICES = 200, 1400, 1000, 2000
 RGB_BYTES_S = 540 * 480 * 3 * 25
@@ -51,13 +51,7 @@ def labels_file(recording: Path, onset: int, *, of: Path | None = None, doubt: s
         header, slices = source.header, len(source)
     label = np.zeros(slices, np.int8)
     label[onset:] = -1 if doubt else onset >= 0
-    arrays = {
-        "label": label,
-        "relative_flow_px": np.zeros(slices, np.float32),
-        "onset_slice": np.int64(onset),
-        "confidence": np.float64("nan"),
-        "flow_pairs_computed": np.int64(0),
-    }
+    arrays = label_arrays(label, onset)
     arrays |= {"abstained": np.uint8(1), "doubt": doubt} if doubt else {}
     path = recording.with_name(recording.name.replace(".recording.", ".labels."))
     write_stage(path, Recipe("labels", 1, {}, parents=(header,)), arrays, force=True)

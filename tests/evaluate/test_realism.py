@@ -5,9 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from evetac_cli.cli.main import app
 from evetac_cli.commands.evaluate import EvaluateRealism
 from evetac_cli.commands.record import Record
 from evetac_cli.errors import InputError
@@ -147,12 +145,3 @@ def test_a_slice_with_too_many_events(same: tuple[Path, Path], tmp_path: Path, m
     monkeypatch.setattr(realism, "MOST_EVENTS", 10)
     with pytest.raises(InputError, match="no phase"):
         compared(*same, tmp_path)
-
-
-@pytest.mark.slow
-def test_on_the_command_line(same: tuple[Path, Path], tmp_path: Path) -> None:
-    """Assert the command, its table, and exit code 2 for a missing file."""
-    names = list(map(str, same))
-    shown = CliRunner().invoke(app, ["evaluate", "realism", *names, "-o", str(tmp_path)])
-    assert shown.exit_code == 0 and "events_a_slice" in shown.stdout
-    assert CliRunner().invoke(app, ["evaluate", "realism", names[0], "-o", str(tmp_path)]).exit_code == 2

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
 import h5py
 import numpy as np
@@ -26,7 +25,6 @@ from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.inputs import Series
 from evetac_cli.kernels.slip.metrics import Prediction, is_slip
 from evetac_cli.stages import slip_detectors, train
-from evetac_cli.stages.related_files import RecordedSensor, sensor_names, sensor_of
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from tests.make import event_arrays, events_at, run_stage, truth_arrays
@@ -114,15 +112,6 @@ def test_models_among_the_files(world: dict[str, Any], tmp_path: Path) -> None:
         (job,) = slip.jobs(files, EvaluateSlip(model=given), tmp_path)
         assert job.inputs == expected
         assert job.output == tmp_path / f"{world['known'][0].resolve().parent.name}.slip.report.h5"
-
-
-def test_a_model_counts_once(world: dict[str, Any], tmp_path: Path) -> None:
-    """Assert that a copy of a model under another name is no second seed."""
-    first = world["seeds"][0]
-    copy = tmp_path / "copy.model.h5"
-    shutil.copy(first, copy)
-    (job,) = slip.jobs([copy, *world["known"]], EvaluateSlip(model=first), tmp_path)
-    assert job.inputs == (*world["known"], first)
 
 
 def test_seeds_are_one_setting(world: dict[str, Any], tmp_path: Path) -> None:
@@ -331,29 +320,6 @@ def test_only_what_is_new_is_judged(world: dict[str, Any], tmp_path: Path, monke
     assert len(predictions) == 3
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("damage", ["cut", "short", "packed", "unlikely"])
-def test_what_was_kept_and_is_damaged_is_judged_again(
-    world: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str
-) -> None:
-    """Assert that a broken or made up archive changes no figure."""
-    files = [*world["known"], world["seeds"][0]]
-    rows, _ = evaluated(files, tmp_path / "r.report.h5")
-    (kept, *_) = sorted((tmp_path / "r.judged").iterdir())
-    with ZipFile(kept) as archive:
-        ((key, values),) = {name: archive.read(name) for name in archive.namelist()}.items()
-    if damage == "cut":
-        kept.write_bytes(kept.read_bytes()[:-30])
-    else:
-        other = {"short": values[:-4], "unlikely": np.full(len(values) // 4, 2.0, np.float32)}
-        with ZipFile(kept, "w", ZIP_DEFLATED if damage == "packed" else ZIP_STORED) as archive:
-            archive.writestr(key, bytes(other.get(damage, values)))
-    calls = judged(monkeypatch)
-    (tmp_path / "r.report.h5").unlink()
-    assert evaluated(files, tmp_path / "r.report.h5")[0] == rows
-    assert len(calls) == 1
-
-
 @pytest.mark.parametrize("model", ["fast-slow", "down5"])
 def test_piece_by_piece_as_a_whole(
     world: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, model: str
@@ -503,19 +469,6 @@ def test_judged_by_truth(world: dict[str, Any], tmp_path: Path) -> None:
     }
     _, verdict = slip.for_people(rows, EvaluateSlip(truth=True))
     assert "judged by truth of the simulation" in verdict[0]
-
-
-def test_sensors_of_one_name_are_told_apart() -> None:
-    """Assert that sensor files without a name are named by the values in which they differ."""
-    headers = [
-        Recipe("recording", 1, {"sensor": name, "sensor_row": {"shear_modulus_pa": pa, "seed": 1}}, seed=0).header()
-        for name, pa in (("own-sensor", 72e3), ("own-sensor", 290e3), ("evetac", 145e3))
-    ]
-    named = ["own-sensor, shear_modulus_pa 72000", "own-sensor, shear_modulus_pa 290000", "evetac"]
-    assert sensor_names([sensor_of(header) for header in headers]) == named
-    lists = [RecordedSensor("own-sensor", {"hot_pixel_hz": [float(rate)] * 100}) for rate in (1, 2)]
-    first, second = sensor_names(lists)
-    assert first != second and len(first) < 40
 
 
 def test_truth_beside_the_labels_is_named(tmp_path: Path) -> None:

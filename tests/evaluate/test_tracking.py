@@ -1,6 +1,5 @@
 """The stage evaluate tracking: presets side by side, end-point consistency with and without truth, the picture."""
 
-import importlib.util
 import shutil
 from pathlib import Path
 from typing import Any
@@ -19,8 +18,6 @@ from evetac_cli.stages import track
 from evetac_cli.store.files import StageFile
 from tests.conftest import Made
 from tests.make import run_stage
-
-needs_matplotlib = pytest.mark.skipif(not importlib.util.find_spec("matplotlib"), reason="needs matplotlib")
 
 
 @pytest.fixture
@@ -169,16 +166,3 @@ def test_truth_found_since_is_another_report(recording: Path) -> None:
     with pytest.raises(InputError, match="with_truth"):
         evaluate(path)
     assert evaluate(path, recordings=recording.parent, force=True).summary["with_truth"] == 1
-
-
-@needs_matplotlib
-@pytest.mark.parametrize("truth", [True, False])
-def test_a_picture_lies_beside_the_report(recording: Path, truth: bool) -> None:
-    """Assert that the picture is drawn with truth and without, and an up-to-date report leaves it alone."""
-    path = tracked(recording, "stable", preset="stable")
-    folder = recording.parent if truth else None
-    drawn = Path(evaluate(path, recordings=folder).summary["plot"])
-    assert drawn.read_bytes().startswith(b"\x89PNG")
-    before = drawn.stat().st_mtime_ns
-    assert not evaluate(path, recordings=folder).made
-    assert drawn.stat().st_mtime_ns == before

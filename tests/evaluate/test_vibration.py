@@ -183,22 +183,6 @@ def test_the_picture_shows_each_tone_once(tmp_path: Path, monkeypatch: pytest.Mo
     assert drawn == [f"{name}.recording.h5" for name in "acd"]
 
 
-def test_a_picture_beside_the_report(tmp_path: Path) -> None:
-    """Assert that a picture is drawn beside the report, and is not drawn again for a report that is up to date."""
-    pytest.importorskip("matplotlib")
-    path = swing(tmp_path, 100.0)
-    params = EvaluateVibration(windows="1")
-    (job,) = vibration.jobs([path], params, None)
-    assert job.output.name == "a.vibration.report.h5"
-    outcome = vibration.run(job, params)
-    picture = Path(outcome.summary["plot"])
-    assert picture.parent == tmp_path and picture.read_bytes().startswith(b"\x89PNG")
-    written = picture.stat().st_mtime_ns
-    again = vibration.run(job, params)
-    assert not again.made and again.rows == outcome.rows
-    assert picture.stat().st_mtime_ns == written
-
-
 def test_length_costs_no_memory(tmp_path: Path) -> None:
     """Assert that a recording four times as long needs no more memory, but for its counts."""
 

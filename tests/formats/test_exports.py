@@ -188,15 +188,6 @@ def test_dsec_is_as_in_the_data_set(source: Path, monkeypatch: pytest.MonkeyPatc
     assert same(read_events(target).events, drawn(5000))
 
 
-def test_numpy_reads_our_text(source: Path) -> None:
-    """Assert that the plainest of readers gets four columns of numbers."""
-    target = target_path(source, "text", None)
-    export(source, "text", target)
-    table = np.loadtxt(target, dtype=np.int64)
-    events = drawn(5000)
-    assert np.array_equal(table.T, np.stack([events.t + 5_000_000, events.x, events.y, events.p]))
-
-
 def test_the_grid_comes_back_from_json(source: Path, tmp_path: Path) -> None:
     """Assert that --calibration takes what was written: dots, the missing one, radius, frame and window."""
     target = target_path(source, "calibration", None)
@@ -294,26 +285,6 @@ def test_images_are_those_of_python(tmp_path: Path, kind: str, suffix: str, monk
     assert (shown["kind"], shown["rate_hz"], shown["size_px"]) == (kind, 100.0, list(options["size"]))
     assert said["simulated"] is row["simulated"] is True
     assert row["left_out"] is None
-
-
-@pytest.mark.parametrize(
-    ("flags", "said"),
-    [
-        (("surface", "--bins", "3"), "--format histogram, voxels"),
-        (("text", "--fps", "50"), "--format frames, histogram, voxels, surface, lerobot"),
-        (("frames", "--size", "160"), "160x120"),
-        (("frames", "--size", "0x120"), "--size"),
-        (("frames", "--size", "900x480"), "640 x 480 px"),
-        (("surface", "--polarity", "signed"), "split or sum"),
-    ],
-)
-def test_what_has_no_effect_on_images(tmp_path: Path, flags: tuple[str, ...], said: str) -> None:
-    """Assert that flags of other formats, and numbers that cannot be, are refused, and nothing is written."""
-    source = write(tmp_path / "a.recording.h5", drawn(10), 9)
-    result = CliRunner().invoke(app, ["export", str(source), "--format", *flags])
-    assert result.exit_code == 2
-    assert said in " ".join(result.output.split())
-    assert [path.name for path in tmp_path.iterdir()] == [source.name]
 
 
 def test_names_of_outputs(tmp_path: Path) -> None:
@@ -438,8 +409,6 @@ def test_from_the_command_line(source: Path, tmp_path: Path) -> None:
     with h5py.File(source) as one, h5py.File(back) as other:
         for name in ("events/t", "events/x", "events/y", "events/p", "ms_to_idx", "t_offset", "sensor/frame_px"):
             assert np.array_equal(one[name][()], other[name][()]), name
-    twice = CliRunner().invoke(app, ["export", str(source), str(source), "--format", "text"])
-    assert twice.exit_code == 2
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), InputError("not this one")])
@@ -468,9 +437,3 @@ def test_several_are_written_together(
     (out / "b.txt").unlink()
     assert CliRunner().invoke(app, command).exit_code == 2
     assert [path.name for path in out.iterdir()] == ["z.txt"]
-
-
-def test_names_of_240_bytes_fail_before_the_work(tmp_path: Path) -> None:
-    """Assert that an export whose name no file system takes is refused as such, whatever the recording."""
-    with pytest.raises(InputError, match="name is too long"):
-        export(tmp_path / "none.recording.h5", "text", tmp_path / ("a" * 240 + ".txt"))

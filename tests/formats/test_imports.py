@@ -1,6 +1,5 @@
 """Foreign event files: what comes in is right, or it is refused in words."""
 
-import os
 import pickle
 import re
 import subprocess
@@ -29,7 +28,7 @@ from evetac_cli.jobs import Outcome
 from evetac_cli.store.files import StageFile
 from evetac_cli.trials import record
 from tests.importing import FRAME, event_rows, refusal, same
-from tests.make import event_arrays, events_at, run_stage, write_recording
+from tests.make import run_stage
 from tests.patience import PATIENCE_S
 
 
@@ -275,20 +274,6 @@ def test_csv_of_other_programs(
     assert (event_rows(imported), imported.t_offset_us) == (ROWS, 1000)
 
 
-def test_what_text_leaves_unsaid_is_said(text: Callable[..., Path]) -> None:
-    """Assert that order and unit are in the notes where they were assumed, and columns that were not read."""
-    polarity = "polarity 1 brighter, 0 or -1 darker"
-    for name, note in (
-        ("x y t p", f"assumed: columns x y t p, time in seconds, {polarity}"),
-        ("Prophesee", f"assumed: columns x y p t, time in microseconds, {polarity}"),
-        ("names of data sets", f"assumed: time in microseconds, {polarity}"),
-    ):
-        assert read_events(text(CSV[name]), frame_px=FRAME).notes == [note]
-    imported = read_events(text(CSV["a text between"]), frame_px=FRAME)
-    assert imported.left_out == {"values of label": 3}
-    assert read_events(text(CSV["pandas with its index"]), frame_px=FRAME).left_out == {"values of 1": 3}
-
-
 @pytest.mark.parametrize("block", [1 << 22, 7])
 def test_lines_without_content_may_hold_blanks(
     text: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, block: int
@@ -342,14 +327,12 @@ def test_text_holds_microseconds_exactly(
     [
         ("0 1 2 1\n5 1 2\n", 2, "4 numbers separated by blanks"),
         ("0 1 2 1\n# c\n\n5 1 2", 4, "remove that line"),
-        ("0 1 2 1 9\n1 1 2 1 9\n", 1, "4 numbers"),
         ("0,1,2,1\n5 1 2 1\n", 2, "separated by commas"),
         ("0 1 2 1\n1_0 1 2 1\n", 2, "4 numbers"),
         (b"0 1 2 1\n5 1 2 1\n\x07\x00\xff\xfe garbled\n", 3, "4 numbers"),
         ("secs,nsecs,x,y,polarity\n1,2,3,4,1\n", 1, "no column has a name for t"),
         ("t;x;y;polarität\n0;1;2;1\n", 1, "no column has a name for p"),
         ("0 1 2 1\n0.5 1 2 1\n", 2, "the unit of time changes"),
-        ("0 1 2 1\n\n5 1.5 2 1\n", 3, "not a whole pixel"),
         (f"0 1 2 1\n{10**400} 1 2 1\n5 5.5 1 1\n", 3, "not a whole pixel"),
         ("0 1 2 1\n9000 1 2 1\n4 1 2 1\n", 3, "time goes backwards"),
     ],
@@ -398,13 +381,6 @@ def test_a_line_without_end_is_refused(text: Callable[..., Path], monkeypatch: p
     """Assert that a file without line breaks does not fill the memory."""
     monkeypatch.setattr(read_text, "BLOCK_CHARS", 1 << 16)
     assert "line 2 has more than" in refusal(text("0 1 2 1\n" + "1 " * 70000), frame_px=FRAME)
-
-
-def test_slices_reach_to_the_last_event(text: Callable[..., Path]) -> None:
-    """Assert that an event at exactly 2 ms lies in the third slice, and one just before it in the second."""
-    assert read_events(text("0 1 1 1\n2000 1 1 1\n"), frame_px=FRAME).slices == 3
-    assert read_events(text("0 1 1 1\n1999 1 1 1\n"), frame_px=FRAME).slices == 2
-    assert read_events(text("7000 1 1 1\n"), frame_px=FRAME).slices == 1
 
 
 def test_sorting_is_offered_and_noted(text: Callable[..., Path]) -> None:
@@ -470,30 +446,18 @@ def test_an_import_is_all_or_nothing(
         ("a.h5", pickle.dumps({"t": [1]}), "never loads pickles"),
         ("a.aedat4", b"0 1 2 1\n", "begins with b'0 1 2 1"),
         ("a.txt", b"0 1 \x00\x00 2 1\n", "begins with b'0 1 "),
-        ("a.txt", "0 1 2 1\n".encode("utf-16"), "begins with"),
         ("a.aedat", b"#!AER-DAT3.1\r\n# x\r\n", "AEDAT of another version"),
         ("a.raw", b"% evt 4.1\n% end\n\x00\x01", "with Prophesee's tools"),
         ("a.npz", b"PK\x03\x04rest", "cannot be read as npy"),
-        ("a.npz", b"PK\x05\x06rest", "an empty zip"),
         ("a.txt.gz", b"\x1f\x8b\x08rest", "gunzip"),
         ("a.db3.zstd", b"\x28\xb5\x2f\xfdrest", "the bag's folder"),
         ("a.mat", b"MATLAB 5.0 MAT-file", "docs/recordings.md"),
-        ("a.bin", b"\x01\x02\x03\x04\x05", "docs/recordings.md"),
-        ("a.npy", b"\x93NUMPY\x01\x00", "cannot be read as npy"),
         ("a.bag", b"#ROSBAG V1.2\n", "rosbag migrate"),
     ],
 )
 def test_strangers_are_named(text: Callable[..., Path], name: str, content: bytes, words: str) -> None:
     """Assert that a file of another kind is refused by its content, with a way on where there is one."""
     assert words in refusal(text(content, name), frame_px=FRAME)
-
-
-def test_what_is_no_plain_file_is_refused(tmp_path: Path) -> None:
-    """Assert that a folder, a missing file and a pipe are refused, and none of them is waited for."""
-    os.mkfifo(tmp_path / "pipe")
-    assert "a folder" in refusal(tmp_path)
-    assert "no such file" in refusal(tmp_path / "missing.aedat4")
-    assert "a device or pipe" in refusal(tmp_path / "pipe", frame_px=FRAME)
 
 
 def test_options_that_would_do_nothing_are_refused(text: Callable[..., Path], dsec: Callable[..., Path]) -> None:
@@ -551,22 +515,11 @@ def test_hdf5_is_read_in_batches(dsec: Callable[..., Path], monkeypatch: pytest.
     assert "at index 2 from" in refusal(dsec(t=np.array([5000, 6000, 4000])), frame_px=FRAME)
 
 
-def test_hdf5_without_events_in_it(dsec: Callable[..., Path]) -> None:
-    """Assert that empty columns are a recording without events, whose frame has to be said."""
-    none = {name: np.empty(0, np.uint16) for name in "txyp"}
-    imported = read_events(dsec(**none), frame_px=FRAME)
-    assert (imported.events.size, imported.slices) == (0, 0)
-    assert "the file has no events" in imported.notes
-    assert "--frame-size" in refusal(dsec(**none))
-
-
 @pytest.mark.parametrize(
     ("given", "words"),
     [
         ({"x": np.array([1, 2], np.uint16)}, "columns differ in length"),
-        ({"p": None}, "no event columns"),
         ({"t": np.array([0.1, 0.2, 0.3])}, "expected: a list of integers in microseconds"),
-        ({"y": np.zeros((3, 1), np.uint16)}, "events/y is not a column"),
         ({"p": np.array([b"+", b"-", b"+"])}, "events/p is not a column"),
     ],
 )
@@ -597,36 +550,6 @@ def test_odd_t_offsets_are_refused(dsec: Callable[..., Path]) -> None:
         assert "t_offset" in refusal(
             dsec(lambda file, v=value: file.create_dataset("t_offset", data=v)), frame_px=FRAME
         )
-
-
-def test_links_to_elsewhere_are_not_followed(dsec: Callable[..., Path], tmp_path: Path) -> None:
-    """Assert that a file cannot make us read another one."""
-
-    def link(file: h5py.File) -> None:
-        file["events/p"] = h5py.ExternalLink("/etc/other.h5", "/p")
-
-    def external(file: h5py.File) -> None:
-        (tmp_path / "raw").write_bytes(b"\0\1\0")
-        file.create_dataset("events/p", (3,), "u1", external=[(str(tmp_path / "raw"), 0, 3)])
-
-    assert "`events/p` is a link" in refusal(dsec(link, p=None), frame_px=FRAME)
-    assert "stored in another file" in refusal(dsec(external, p=None), frame_px=FRAME)
-
-
-def test_rows_that_were_never_written_are_refused(dsec: Callable[..., Path]) -> None:
-    """Assert that announced rows without data are neither read as zeros nor for ever."""
-
-    def sparse(file: h5py.File) -> None:
-        for name in "txyp":
-            del file[f"events/{name}"]
-            file.create_dataset(f"events/{name}", (2**50,), "u2", chunks=(1024,))
-            file[f"events/{name}"][:10] = 1
-
-    def contiguous(file: h5py.File) -> None:
-        file.create_dataset("events/p", (3,), "u1")
-
-    assert "rows that were never written" in refusal(dsec(sparse), frame_px=FRAME)
-    assert "events/p is incomplete" in refusal(dsec(contiguous, p=None), frame_px=FRAME)
 
 
 def test_compressed_with_a_plugin(tmp_path: Path) -> None:
@@ -664,12 +587,6 @@ def test_broken_hdf5_is_refused(dsec: Callable[..., Path], tmp_path: Path) -> No
     broken[chunk.byte_offset + 20 : chunk.byte_offset + 60] = bytes(40)
     cut.write_bytes(broken)
     assert "its events cannot be read" in refusal(cut, frame_px=FRAME)
-
-
-def test_our_own_files_need_no_import(tmp_path: Path) -> None:
-    """Assert that a recording is not imported a second time."""
-    path = write_recording(tmp_path / "a.recording.h5", event_arrays(events_at([0, 1]), 1, FRAME))
-    assert "a recording needs no import" in refusal(path, frame_px=FRAME)
 
 
 # --- recordings made by others ------------------------------------------------------------------------------------

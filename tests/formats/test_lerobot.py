@@ -12,9 +12,7 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
 
-from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
 from evetac_cli.formats.exports import export_folder
 from evetac_cli.formats.write.lerobot import episodes, meta_files, write_lerobot
@@ -154,21 +152,6 @@ def test_statistics_of_an_episode_and_of_its_video(out: Path) -> None:
     assert np.shape(image["mean"]) == (3, 1, 1)
     assert (image["min"], image["max"]) == ([[[0.0]]] * 3, [[[1.0]]] * 3)
     assert abs(image["mean"][0][0][0] - 128 / 255) < 1e-3 and 0 < image["std"][0][0][0] < 0.05
-
-
-def test_the_card_says_what_is_simulated(out: Path, sources: list[Path]) -> None:
-    """Assert that the card and the file beside it name simulation, rule, objects and recipes, and the split of each."""
-    card = (out / "README.md").read_text()
-    head, _, text = card.removeprefix("---\n").partition("\n---\n")
-    fields = dict(line.split(": ", 1) for line in head.splitlines())
-    assert {"LeRobot", "simulated"} <= set(json.loads(fields["tags"]))
-    assert json.loads(fields["license_name"]) == "not-chosen"
-    assert "**Simulated.** All episodes are from evetac's simulator" in text
-    assert "the mean of the frame's slices" in text
-    assert "| 8 | evetac | slips | train | 2 |" in text and "| 3 | evetac | slips | test | 1 |" in text
-    about = json.loads((out / "meta" / "evetac.json").read_text())
-    with Recording(sources[1]) as recording:
-        assert about["episodes"]["2"]["headers"]["recording"]["id"] == recording.header["id"]
 
 
 @pytest.mark.parametrize("fps", [7, 30, 50, 60, 250, 999, 1000])
@@ -323,15 +306,3 @@ def test_without_a_controller_the_action_is_the_current(tmp_path: Path) -> None:
     wanted = np.linspace(60.0, 5.0, SLICES // 2)[np.arange(2, FRAMES + 2) * 4 // 2 - 1]
     np.testing.assert_allclose(np.stack(frames["action"])[:, 0], wanted, rtol=1e-6)
     assert "control_probability" not in info["features"]["observation.tactile"]["names"]
-
-
-@pytest.mark.slow
-def test_lerobot_from_the_command_line(sources: list[Path], tmp_path: Path) -> None:
-    """Assert that options reach the data set, and that a folder has to be named."""
-    arguments = ["export", *map(str, sources), "--format", "lerobot", "--fps", "250", "--test-objects", "1-3", "--json"]
-    run = CliRunner().invoke(app, [*arguments, "-o", str(tmp_path / "out")])
-    assert run.exit_code == 0, run.output
-    result = json.loads(run.stdout)
-    assert (result["simulated"], result["rows"][0]["episodes"], result["rows"][0]["test"]) == (True, 3, "2:3")
-    run = CliRunner().invoke(app, arguments)
-    assert run.exit_code == 2 and json.loads(run.stdout)["error"]["where"] == "--out"

@@ -165,14 +165,6 @@ def test_what_cannot_be_chosen_is_refused(sources: list[Path], tmp_path: Path) -
     assert "without --event-frames" in refusal(out, sources, size=(160, 120))
 
 
-def test_event_frames_that_memory_does_not_hold_are_refused(
-    sources: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Assert words that say for how long a trial they would fit."""
-    monkeypatch.setattr(event_stacks, "MOST_BYTES", 10_000)
-    assert "too long for event frames" in refusal(tmp_path / "out", sources, event_frames="16@500")
-
-
 def test_the_doctor_of_others_finds_nothing_wrong(whole: Path) -> None:
     """Assert that lerobot-doctor runs all of its checks and none fails; its warnings are about what the grasps do."""
     pytest.importorskip("lerobot_doctor")

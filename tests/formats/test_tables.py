@@ -10,10 +10,7 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
 
-from evetac_cli.cli.main import app
-from evetac_cli.errors import InputError
 from evetac_cli.formats.exports import export, export_folder, target_path
 from evetac_cli.formats.write import slice_columns, write_table
 from evetac_cli.inspect.export import trial_files
@@ -52,12 +49,6 @@ COLUMNS: dict[str, tuple[str, str, Any]] = {
     "touch_centre_x_mm": ("touch", "centre_mm", 0),
     "touch_sticking_share": ("touch", "sticking_share", ()),
 }
-
-
-def refusal(*arguments: Any, **named: Any) -> str:
-    with pytest.raises(InputError) as caught:
-        export_folder(*arguments, **named)
-    return str(caught.value)
 
 
 def stored(recording: Path, kind: str, dataset: str, value: Any) -> Any:
@@ -297,20 +288,6 @@ def test_an_empty_recording_is_an_empty_table(tmp_path: Path) -> None:
         assert len(read(target)) == 0 and "events_total" in read(target)
 
 
-def test_tables_from_the_command_line(source: Path, tmp_path: Path) -> None:
-    """Assert that -o FOLDER is a data set, -o NAME.parquet a file, and options of other formats are refused."""
-    run = CliRunner().invoke(app, ["export", str(source), "--format", "parquet", "-o", str(tmp_path / "out"), "--json"])
-    assert run.exit_code == 0, run.output
-    result = json.loads(run.stdout)
-    assert (result["simulated"], result["rows"][0]["slices"]) == (True, SLICES)
-    name = str(tmp_path / "one.parquet")
-    run = CliRunner().invoke(app, ["export", str(source), "--format", "parquet", "-o", name, "--json"])
-    assert run.exit_code == 0, run.output
-    assert len(pd.read_parquet(name)) == SLICES
-    run = CliRunner().invoke(app, ["export", str(source), "--format", "csv", "--fps", "30"])
-    assert run.exit_code == 2 and "--fps: has no effect" in run.stderr
-
-
 @pytest.mark.slow
 def test_a_model_adds_its_slip_probability(made: Made, tmp_path: Path) -> None:
     """Assert that the column is what the detector gives, empty before its history is full, with the model's header."""
@@ -324,17 +301,3 @@ def test_a_model_adds_its_slip_probability(made: Made, tmp_path: Path) -> None:
     np.testing.assert_array_equal(shown, expected)
     assert np.isnan(shown[0]) and np.isfinite(shown[-1])
     assert json.loads(pq.read_schema(target).metadata[b"evetac"])["headers"]["model"]["id"] == header["id"]
-
-
-@pytest.mark.slow
-def test_a_model_has_to_fit(source: Path, tmp_path: Path) -> None:
-    """Assert that a model of another grid is refused, one without features, and one where it has no effect."""
-    arguments = ["export", str(source), "--model", "shipped", "-o", str(tmp_path / "out")]
-    run = CliRunner().invoke(app, [*arguments, "--format", "parquet"])
-    assert run.exit_code == 2 and "another dot grid" in run.stderr
-    run = CliRunner().invoke(app, [*arguments, "--format", "text"])
-    assert run.exit_code == 2 and "--model: has no effect" in run.stderr
-    bare = write_grasp(tmp_path / "in", "a", kinds="tracks")
-    run = CliRunner().invoke(app, ["export", str(bare), "--model", "shipped", "--format", "csv"])
-    assert run.exit_code == 2 and "evetac featurize" in run.stderr
-    assert not (tmp_path / "out").exists()

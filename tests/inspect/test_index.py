@@ -86,11 +86,3 @@ def test_the_commands(folder: Path, made: Made) -> None:
     code, result = code_and_answer("index", made.recordings[0])
     assert (code, result["error"]["message"]) == (2, "no such folder")
     assert code_and_answer("info", made.recordings[0])[0] == 0
-
-
-def test_a_table_for_people(folder: Path) -> None:
-    """Assert that files are shown with the columns that fit, and with the reason where one is broken."""
-    rows = index.for_people(index.answer(folder, ("kind=labels",)).rows)
-    assert [tuple(row) for row in rows] == [index.SHOWN] * 2
-    assert [tuple(row) for row in index.for_people(index.answer(folder, ("kind=none",)).rows)] == [("path", "error")]
-    assert index.for_people([{"kind": "labels"}]) == [{"kind": "labels"}]

@@ -1,8 +1,6 @@
 """info: how a recording ended and what was lost, where an import comes from, and the nearest of its history."""
 
 import json
-import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -91,38 +89,6 @@ def test_history_is_the_parents_and_a_count_of_the_rest(made: Made, capsys: pyte
     assert len(row["history"]) > 4
 
 
-def test_many_parents_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Assert that of hundreds of parents a few are named and the others counted."""
-    parents = tuple(Recipe("report", 1, {"number": number}).header() for number in range(30))
-    path = tmp_path / "a.slip.report.h5"
-    rows = {"command": "evaluate slip", "rows": "[]", "summary": "{}"}
-    write_stage(path, Recipe("report", 1, {}, parents=parents), rows, force=True)
-    lines = shown(path, capsys)
-    assert sum(line.startswith("from report") for line in lines) == info.MOST_PARENTS
-    assert "and from 20 report (all: --json)" in lines
-    assert not any(line.startswith("behind") for line in lines)
-
-
-def test_an_onset_that_is_not_there_is_empty(tmp_path: Path) -> None:
-    """Assert that labels without slip have no onset in JSON, and those with slip its slice."""
-    parent = Recipe("recording", 1, {}, content="0").header()
-    for onset in (-1, 3):
-        label = np.zeros(5, np.int8)
-        if onset >= 0:
-            label[onset:] = 1
-        path = tmp_path / f"{onset}.labels.h5"
-        arrays = {
-            "label": label,
-            "relative_flow_px": np.zeros(5, np.float32),
-            "onset_slice": np.int64(onset),
-            "confidence": np.float64(1.0),
-            "flow_pairs_computed": np.int64(4),
-        }
-        write_stage(path, Recipe("labels", 1, {"onset": onset}, parents=(parent,)), arrays, force=True)
-        (row,) = info.run([path]).rows
-        assert row["onset_ms"] == (None if onset < 0 else onset)
-
-
 def test_labels_that_abstain_say_why(tmp_path: Path) -> None:
     """Assert that info of labels, and of features made from them, says that they abstain, and why."""
     of = small_files.recording(tmp_path / "a.recording.h5")
@@ -176,51 +142,6 @@ def test_touch_without_one(tmp_path: Path) -> None:
     (row,) = info.run([path]).rows
     assert (row["contacts"], row["slices_unknown"], row["maps"]) == (0, small_files.SLICES, "none")
     assert {row[f"{name}_most"] for name in ("shear_n", "normal_n", "torsion_n_mm", "area_mm2")} == {None}
-
-
-def changed(source: Path, target: Path, change: Callable[[Any, dict[str, Any]], Any]) -> Path:
-    """A copy of a file with its datasets and header changed by hand."""
-    shutil.copy(source, target)
-    with h5py.File(target, "r+") as h5:
-        header = json.loads(h5.attrs["header"])
-        change(h5, header)
-        h5.attrs["header"] = json.dumps(header)
-    return target
-
-
-def put(h5: Any, name: str, value: Any) -> None:
-    """Another value in place of a dataset."""
-    del h5[name]
-    h5[name] = value
-
-
-def fill(h5: Any, name: str, value: Any) -> None:
-    """The same value everywhere in a dataset."""
-    h5[name][...] = value
-
-
-SENSELESS: dict[str, tuple[str, Callable[[Any, dict[str, Any]], Any]]] = {
-    "chosen epoch far away": ("force_model", lambda h5, header: fill(h5, "curve/chosen", 99)),
-    "no steps": ("model", lambda h5, header: [put(h5, f"curve/{n}", h5[f"curve/{n}"][:0]) for n in ("step", "loss")]),
-    "grid of another size": ("tracks", lambda h5, header: put(h5, "sensor/dot_xy_px", np.ones((2, 3, 2)))),
-    "made a number": ("labels", lambda h5, header: header.update(made=3)),
-}
-
-
-@pytest.mark.parametrize("name", SENSELESS)
-@pytest.mark.filterwarnings("error")
-def test_m4_info_shows_or_refuses_senseless_files(
-    made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
-    """Assert that whatever a file says is shown or refused in words that name the file, and nothing else is raised."""
-    kind, change = SENSELESS[name]
-    first = made.recordings[0]
-    source = getattr(made, kind) if kind in ("model", "force_model") else made.beside(first, kind)
-    path = changed(source, tmp_path / source.name, change)
-    try:
-        shown(path, capsys)
-    except InputError as error:
-        assert str(path) in str(error)
 
 
 SUMMARIES = {

@@ -15,7 +15,7 @@ from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings import slip_grid
 from evetac_cli.store.recordings.read import open_recording, true_onset
 from tests.conftest import Made
-from tests.make import event_arrays, events_at, write_recording
+from tests.make import event_arrays, events_at, label_arrays, write_recording
 
 SLICES, ONSET = 2000, 1500
 
@@ -32,15 +32,8 @@ def real_slip(path: Path) -> Path:
     write_recording(path, event_arrays(events, SLICES))
     with open_recording(path) as recording:
         header = recording.header
-    arrays = {
-        "label": (at >= ONSET).astype(np.int8),
-        "relative_flow_px": np.zeros(SLICES, np.float32),
-        "onset_slice": np.int64(ONSET),
-        "confidence": np.float64(1.0),
-        "flow_pairs_computed": np.int64(0),
-    }
     labels = path.with_name(path.name.replace(".recording.", ".labels."))
-    write_stage(labels, Recipe("labels", 1, {}, parents=(header,)), arrays, force=True)
+    write_stage(labels, Recipe("labels", 1, {}, parents=(header,)), label_arrays(at >= ONSET, ONSET), force=True)
     return labels
 
 

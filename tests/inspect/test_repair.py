@@ -1,6 +1,5 @@
 """repair: a valid recording of what broke off, nothing lost by trying, and figures that add up."""
 
-import json
 import os
 import platform
 import signal
@@ -13,9 +12,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from evetac_cli.cli.main import app
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import repair, validate
 from evetac_cli.resources import PACKAGE
@@ -171,19 +168,6 @@ def test_nothing_to_repair(tmp_path: Path) -> None:
     assert "no slice" in empty["fault"]
     (tmp_path / "sub").mkdir()
     assert repair.run([tmp_path / "sub"]).rows == []
-
-
-def test_command(tmp_path: Path) -> None:
-    """Assert that the command prints a row for each folder, and ends with 2 if one of them could not be repaired."""
-    broken_off(tmp_path, [2])
-    (tmp_path / "b.recording.part").mkdir()
-    done = CliRunner().invoke(app, ["repair", str(tmp_path), "--json"])
-    assert done.exit_code == 2
-    rows = json.loads(done.stdout)["rows"]
-    assert [row["status"] for row in rows] == ["repaired", "not repaired"]
-    done = CliRunner().invoke(app, ["repair", str(tmp_path)])
-    assert done.exit_code == 2
-    assert "not repaired" in done.stdout
 
 
 @pytest.mark.parametrize("after_s", [0.05, pytest.param(0.35, marks=pytest.mark.slow)])

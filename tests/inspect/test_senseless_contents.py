@@ -4,6 +4,7 @@ Every change is a dataset of the right dtype and shape, so that nothing but its 
 """
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -60,32 +61,12 @@ class Change(NamedTuple):
                 stored[self.index] = self.value
 
 
-def in_recording(dataset: str, index: Any, value: Any, said: str) -> Change:
-    return Change("recording", dataset, index, value, said)
-
-
-def tracks(dataset: str, index: Any, value: Any, said: str) -> Change:
-    return Change("tracks", dataset, index, value, said)
-
-
-def features(dataset: str, index: Any, value: Any, said: str) -> Change:
-    return Change("features", dataset, index, value, said)
-
-
-def labels(dataset: str, index: Any, value: Any, said: str) -> Change:
-    return Change("labels", dataset, index, value, said)
-
-
-def model(dataset: str, index: Any, value: Any, said: str) -> Change:
-    return Change("model", dataset, index, value, said)
-
-
-def force_model(dataset: str, index: Any, value: Any, said: str) -> Change:
-    return Change("force-model", dataset, index, value, said)
+in_recording, tracks, labels, features, model, force_model = (
+    partial(Change, kind) for kind in ("recording", "tracks", "labels", "features", "model", "force-model")
+)
 
 
 GRID_OF_TWO_ROWS = small_files.GRID_PX[:2]
-ONE_COORDINATE = small_files.GRID_PX + np.array([0.0, NAN])
 
 CHANGES = [
     in_recording("events/t", 0, -1, "0 or more"),
@@ -95,7 +76,6 @@ CHANGES = [
     in_recording("events/p", 3, 2, "one of 0, 1"),
     in_recording("ms_to_idx", 0, 1, "begins at 0"),
     in_recording("ms_to_idx", -1, 10**6, "events/t"),
-    in_recording("ms_to_idx", 3, -5, "0 to"),
     in_recording("t_offset", (), 2**63 - 1, "4611686018427387904"),
     in_recording("sensor/frame_px", 0, 0, "1 to 65535"),
     in_recording("sensor/dot_xy_px", (0, 0), INF, "finite"),
@@ -103,80 +83,45 @@ CHANGES = [
     in_recording("sensor/dot_xy_px", (0, 0, 1), NAN, "both coordinates"),
     in_recording("sensor/dot_xy_px", None, GRID_OF_TWO_ROWS, "truth/dot_xy_px"),
     in_recording("sensor/dot_radius_px", (), 0.0, "more than 0"),
-    in_recording("sensor/contrast_over_threshold", (), 0.0, "0.001 to 1000"),
-    in_recording("sensor/shear_modulus_pa", (), -1.0, "1 to 1000000000"),
     in_recording("sensor/dot_radius_px", (), 1e9, "frame"),
     in_recording("capture/lost_slices", 0, [4, 4], "end after they begin"),
     in_recording("truth/slip_share", 3, 1.5, "0 to 1"),
     in_recording("truth/sampled_parameters", (), "no JSON", "a JSON object"),
     in_recording("truth/sampled_parameters", (), DEEP, "a JSON object"),
-    in_recording("control/phase", 0, 3, "one of 0, 1, 2"),
-    tracks("dot_xy_px", (2, 1), INF, "finite"),
     tracks("dot_xy_px", (2, 1), 1e7, "inside the frame"),
     tracks("dot_xy_px", (2, 1), NAN, "missing in the grid"),
-    tracks("events_per_dot", (0, 0), -1, "0 or more"),
-    tracks("lost", (3, 2), 7, "one of 0, 1"),
     tracks("sensor/dot_xy_px", None, GRID_OF_TWO_ROWS, "dot_xy_px"),
-    tracks("sensor/dot_radius_px", (), 0.0, "more than 0"),
-    tracks("sensor/contrast_over_threshold", (), -1.0, "0.001 to 1000"),
-    tracks("sensor/dot_radius_px", (), 5000.0, "frame"),
-    tracks("sensor/frame_px", ..., [0, 0], "1 to 65535"),
     labels("label", 3, 5, "one of -1, 0, 1"),
     labels("label", 3, 1, "onset_slice"),
     labels("onset_slice", (), -2, "-1 to"),
-    labels("confidence", (), 1.5, "0 to 1"),
     labels("confidence", (), -INF, "finite"),
-    labels("flow_pairs_computed", (), -1, "0 or more"),
-    features("displacement_px", (0, 0), INF, "finite"),
     features("displacement_px", (0, 0), -1.0, "0 to 100000"),
-    features("displacement_xy_px", (0, 0), -3e38, "-100000 to 100000"),
-    features("events_per_dot", (0, 0), -1, "0 or more"),
-    features("sensor/contrast_over_threshold", (), 1e-300, "0.001 to 1000"),
-    features("visible_slip_share", 3, 1.5, "0 to 1"),
-    features("label", 0, 7, "one of -1, 0, 1"),
     features("label", 0, 1, "onset_slice"),
     features("onset_slice", (), SLICES, "-1 to"),
     features("dot_shape", ..., [0, 12], "1 or more"),
     features("dot_shape", ..., [COLUMNS + 1, ROWS], f"{DOTS} dots"),
-    features("image/start", 0, 1, "begins at 0"),
     features("image/start", 3, 2, "never decreasing"),
     features("image/start", -1, 50, "image/pixel"),
-    features("image/start", 3, -1, "0 to"),
     features("image/pixel", 0, 540 * 480, "0 to 259199"),
-    features("image/sign", 0, 0, "one of -1, 1"),
-    model("threshold", (), 2.0, "0 to 1"),
-    model("threshold", (), NAN, "finite"),
     model("history", (), -10, "history"),
     model("history", (), 11, "51"),
     model("architecture", (), "hist1000", "one of no-hist, hist10"),
     model("dot_shape", ..., [1, 56], "2 x 4"),
-    model("dot_shape", ..., [-7, -8], "1 or more"),
     model("dot_shape", ..., [8, 8], "weights"),
     model("checkpoint/chosen", (), 99, "checkpoint/step"),
-    model("checkpoint/step", 0, -5, "0 or more"),
     model("checkpoint/step", 1, 0, "increasing"),
-    model("horizon_ms", (), -10, "0 to 1000"),
     model("weights/0.fc1.bias", 0, 100.0, "onnx"),
     model("weights/0.fc1.weight", None, np.zeros((2, 2)), "shape"),
     model("checkpoint/onnx", (0, ...), 0, "checkpoint/onnx"),
     force_model("sensor", (), "radar", "one of events, frames"),
     force_model("dot_shape", ..., [ROWS, COLUMNS + 1], "network/0/weight"),
-    force_model("dot_shape", ..., [0, 0], "1 or more"),
-    force_model("network/scale_px", (), 0.0, "1e-06 to 1000000"),
-    force_model("network/scale_px", (), NAN, "finite"),
-    force_model("regression/offset_n", 0, 1e300, "-1000000 to 1000000"),
     force_model("curve/chosen", (), 99, "curve/learned_n"),
-    force_model("curve/held_out_n", 0, -1.0, "0 or more"),
-    Change("touch", "touches", 3, 2, "0, 1"),
     Change("touch", "normal_n", 0, INF, "finite"),
-    Change("touch", "area_mm2", 0, -1.0, "0 or more"),
-    Change("touch", "sticking_share", 0, 1.5, "0 to 1"),
     Change("touch", "slip_direction_rad", 0, 4.0, "-3.1416 to 3.1416"),
     Change("touch", "reference_slice", 0, SLICES, "an index of known"),
     Change("touch", "map/slice", 1, 0, "strictly increasing"),
     Change("report", "rows", (), "no JSON", "a JSON list of flat objects"),
     in_recording("streams/arm/about", (), '{"units": {"x_m": 3}}', "`units` that are texts"),
-    Change("report", "rows", (), DEEP, "a JSON list of flat objects"),
     Change("report", "summary", (), "[]", "a JSON object"),
 ]
 
@@ -334,5 +279,5 @@ def test_m4_evaluate_tracking_with_the_truth_of_another_grid(small: dict[str, Pa
         h5["sensor/dot_xy_px"] = GRID_OF_TWO_ROWS
         small_files.remove_dimensions(h5)
     assert validate.run([small["tracks"]]).summary["invalid"] == 0
-    with pytest.raises(InputError, match="numbers of dots"):
+    with pytest.raises(InputError, match="number of dots"):
         STAGES["evaluate tracking"][1](small["tracks"])

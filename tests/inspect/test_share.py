@@ -6,8 +6,6 @@ import os
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -23,19 +21,12 @@ from evetac_cli.commands.share import Share
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import slip
 from evetac_cli.inspect import share
+from evetac_cli.inspect.share import sections
+from evetac_cli.resources import PACKAGE
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from tests import small_files
 from tests.conftest import Made
-from tests.make import run_stage
-
-HUB = "huggingface_hub"
-CHECK = """
-import json, sys
-from huggingface_hub import DatasetCard, ModelCard
-card = {"model": ModelCard, "data": DatasetCard}[sys.argv[1]].load(sys.argv[2])
-print(json.dumps(card.data.to_dict()))
-"""
 
 
 def fields(folder: Path) -> dict[str, Any]:
@@ -229,7 +220,7 @@ def test_the_commands_of_the_page(made: Made, trials: Path, tmp_path: Path, monk
     monkeypatch.chdir(tmp_path)
     shutil.copy(made.model, "own.model.h5")
     trials.rename("data")
-    page = (Path(__file__).resolve().parents[2] / "docs" / "share.md").read_text()
+    page = (PACKAGE.parent / "docs" / "share.md").read_text()
     for line in re.findall(r"^```sh\n(.*?)^```", page, re.MULTILINE | re.DOTALL):
         result = CliRunner().invoke(app, shlex.split(line)[1:])
         assert result.exit_code == 0, result.output
@@ -241,19 +232,23 @@ def test_the_commands_of_the_page(made: Made, trials: Path, tmp_path: Path, monk
     assert fields(Path("data-hub"))["pretty_name"] == "Slips of glass"
 
 
-@pytest.mark.slow
-def test_the_hub_reads_the_cards(made: Made, trials: Path, tmp_path: Path) -> None:
-    """Assert that the Hub's own library, in an environment of its own, reads every field of the cards."""
-    python = tmp_path / "venv" / "bin" / "python"
-    subprocess.run([sys.executable, "-m", "venv", tmp_path / "venv"], check=True)
-    installed = subprocess.run([python, "-m", "pip", "install", "-q", HUB], capture_output=True, text=True, check=False)
-    if installed.returncode:
-        pytest.skip(f"{HUB} cannot be installed: {installed.stderr[-200:]}")
-    chosen = EvaluateSlip(model=made.model)
-    output, _ = run_stage(slip, [made.folder / "apart.features.h5"], chosen, tmp_path / "apart.slip.report.h5")
-    shared(made.model, output, out=tmp_path / "m")
-    shared(trials, out=tmp_path / "d", title='Slips: *one* | "two"\n---', license="cc-by-4.0")
-    for kind, out in (("model", tmp_path / "m"), ("data", tmp_path / "d")):
-        command = [python, "-c", CHECK, kind, out / "README.md"]
-        read = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
-        assert read == fields(out)
+def test_the_paper_is_that_of_citation_cff() -> None:
+    """Assert that authors, title, journal and year are those of CITATION.cff."""
+    paper = (PACKAGE.parent / "CITATION.cff").read_text().partition("preferred-citation:")[2]
+    people = re.findall(r"family-names: (\S+), given-names: (\S+)}", paper)
+    assert " and ".join(f"{family}, {given}" for family, given in people) in sections.PAPER
+    for name in ("title", "journal"):
+        (value,) = re.findall(rf'^  {name}: "(.+)"$', paper, re.MULTILINE)
+        assert value in sections.PAPER
+    (year,) = re.findall(r"^  year: (\d+)$", paper, re.MULTILINE)
+    assert f"year = {{{year}}}" in sections.PAPER
+
+
+def test_odd_names_stay_one_entry() -> None:
+    """Assert that no text ends a field, a block or the page, whatever signs it has."""
+    page = sections.citation(Share(author="A} }\n```\n# B & C_1 \\x"), "100 % {slip}\n", "model", None)
+    entry = page[-1]
+    assert entry.count("```") == 3 and re.findall(r"^```.*$", entry, re.MULTILINE) == ["```bibtex", "```"]
+    assert "author = {A\\} \\} ``` \\# B \\& C\\_1 \\textbackslash{}x}," in entry
+    assert "title = {{100 \\% \\{slip\\}}}," in entry and "year" not in entry
+    assert entry.splitlines()[1] == "@misc{100-slip,"

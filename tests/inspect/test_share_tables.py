@@ -168,12 +168,6 @@ def test_nothing_is_left_of_tables_that_fail(folder: Path, tmp_path: Path, monke
     assert list(tmp_path.iterdir()) == []
 
 
-def test_none_are_wanted(folder: Path, tmp_path: Path) -> None:
-    """Assert that `--tables none` leaves HDF5 alone."""
-    shared(folder, out=tmp_path / "hub", tables="none")
-    assert not list((tmp_path / "hub").rglob("*.parquet")) and fields(tmp_path / "hub")["viewer"] is False
-
-
 def test_limitations_are_those_of_the_files(folder: Path, hub: Path, tmp_path: Path) -> None:
     """Assert that a card says what is simulated, covered, held out, estimated and lost, and warns of a shared trial."""
     page = (hub / "README.md").read_text()

@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -27,6 +26,7 @@ from evetac_cli.store.files import StageFile, output_path, replacing, up_to_date
 from evetac_cli.store.hdf5 import disk
 from evetac_cli.store.hdf5.chunks import put
 from evetac_cli.store.layout.provenance import Header, Recipe
+from tests.make import everything, label_arrays
 from tests.patience import PATIENCE_S
 
 RECIPE = Recipe("labels", 1, {"threshold_px": 0.5}, parents=(Recipe("recording", 1, {}, seed=1).header(),))
@@ -38,13 +38,7 @@ def labels() -> dict[str, Any]:
     rng = np.random.default_rng(0)
     label = rng.integers(-1, 2, SLICES).astype(np.int8)
     label[:18] = [0] * 17 + [1]
-    return {
-        "label": label,
-        "relative_flow_px": rng.normal(size=SLICES).astype(np.float32),
-        "onset_slice": np.int64(17),
-        "confidence": np.float64("nan"),
-        "flow_pairs_computed": np.int64(3),
-    }
+    return label_arrays(label, 17, rng.normal(size=SLICES))
 
 
 REPORT = {"command": "evaluate slip", "rows": "[]", "summary": '{"Größe": 1}'}
@@ -108,15 +102,6 @@ def test_what_is_written_is_read(labels_file: Path) -> None:
     write_stage(report, Recipe("report", 1, {}), REPORT)
     with StageFile(report, ("model", "report")) as file:
         assert {name: file.read(name) for name in file.contents()} == REPORT
-
-
-def test_arrays_outlive_the_file(labels_file: Path) -> None:
-    """Assert that what was read stays valid when the file is closed, and that closing twice does nothing."""
-    file = StageFile(labels_file)
-    label = file.read("label")
-    file.close()
-    file.close()
-    np.testing.assert_array_equal(label, labels()["label"])
 
 
 def test_same_recipe_same_datasets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -242,13 +227,6 @@ def test_refusals(labels_file: Path, name: str) -> None:
         assert not up_to_date(labels_file, RECIPE, force=True)
 
 
-def test_another_kind(labels_file: Path) -> None:
-    """Assert that another kind than wanted is refused with both, and any kind is taken where none is wanted."""
-    assert re.search("expected: recording\n +found: +labels", refusal(labels_file, "recording"))
-    for kinds in (None, "labels", ("tracks", "labels")):
-        StageFile(labels_file, kinds).close()
-
-
 def test_damaged_chunk(labels_file: Path) -> None:
     """Assert that damage in the data of one dataset is an error in words on reading it, and on reading it alone."""
     with h5py.File(labels_file) as h5:
@@ -320,21 +298,6 @@ def test_a_recording_of_devices_in_the_way(tmp_path: Path) -> None:
     assert not up_to_date(path, wanted, force=True)
 
 
-@pytest.mark.parametrize("content", [b"", b"not a stage file", bytes(3000)])
-def test_output_that_is_garbage(tmp_path: Path, content: bytes) -> None:
-    """Assert that an output that is no stage file is never replaced without --force, and stays as it is."""
-    path = tmp_path / "a.labels.h5"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=r"(?s)not a valid evetac file.*cannot be opened.*--force"):
-        up_to_date(path, RECIPE)
-    assert not up_to_date(path, RECIPE, force=True)
-    with pytest.raises(InputError, match="not a valid evetac file"):
-        write_stage(path, RECIPE, labels())
-    assert path.read_bytes() == content
-    write_stage(path, RECIPE, labels(), force=True)
-    assert up_to_date(path, RECIPE)
-
-
 def test_output_that_cannot_be_written_is_refused_before_the_work(locked: Path) -> None:
     """Assert that a folder as output and an output in a locked folder are refused at once, --force or not."""
     for force in (False, True):
@@ -342,11 +305,6 @@ def test_output_that_cannot_be_written_is_refused_before_the_work(locked: Path) 
             up_to_date(locked, RECIPE, force=force)
         with pytest.raises(InputError, match="cannot be written to"):
             up_to_date(locked / "new" / "a.labels.h5", RECIPE, force=force)
-
-
-def everything(folder: Path) -> list[str]:
-    """Names of all files and folders below."""
-    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
 
 
 @pytest.mark.parametrize("change", [{"label": np.zeros(3)}, {"extra": 1}, {"label": np.zeros(7, np.int8)}])

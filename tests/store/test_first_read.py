@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from evetac_cli.errors import InputError, SchemaError
+from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.store.files import StageFile, up_to_date
 from tests.small_files import every_kind
@@ -47,7 +47,6 @@ FAULTS: dict[str, tuple[str, Change, str, tuple[str, ...]]] = {
     "no bytes": ("recording", never_written, "events/x is incomplete", ("events/x",)),
     "no last chunk": ("recording", without_last_chunk, "events/x is incomplete", ("events/x",)),
     "a value": ("recording", setting("control/phase", 77, -1), "control/phase is impossible", ("control/phase",)),
-    "the end of an index": ("recording", setting("ms_to_idx", 1, -1), "ms_to_idx is impossible", ("ms_to_idx",)),
     "a radius beyond the frame": (
         "recording",
         setting("sensor/dot_radius_px", 5000.0),
@@ -60,7 +59,6 @@ FAULTS: dict[str, tuple[str, Change, str, tuple[str, ...]]] = {
         "onset_slice is impossible",
         ("onset_slice", "label"),
     ),
-    "an onset of features": ("features", setting("onset_slice", 0), "onset_slice", ("onset_slice", "label")),
     "a grid of other dots": (
         "features",
         setting("dot_shape", (1, 1)),
@@ -68,12 +66,6 @@ FAULTS: dict[str, tuple[str, Change, str, tuple[str, ...]]] = {
         ("dot_shape", "displacement_px"),
     ),
     "other weights": ("model", other_architecture, "architecture is impossible", ("architecture", "history")),
-    "a layer of other dots": (
-        "force-model",
-        setting("dot_shape", (1, 1)),
-        "network/0/weight is impossible",
-        ("dot_shape", "network/0/weight"),
-    ),
 }
 
 
@@ -132,25 +124,6 @@ def recipe_like(id_: str) -> object:
         id = id_
 
     return Like()
-
-
-@pytest.mark.parametrize("name", [name for name in FAULTS if FAULTS[name][0] == "recording"])
-def test_what_it_does_not_concern_is_read(name: str, originals: dict[str, Path], tmp_path: Path) -> None:
-    """Assert that a file with a fault in one dataset gives the others, as it is looked at one by one."""
-    kind, change, _, concerned = FAULTS[name]
-    path = changed(originals, tmp_path, kind, change)
-    with StageFile(path) as file, StageFile(originals[kind]) as right:
-        others = [one for one in file.contents() if one.startswith("gripper/")]
-        assert others
-        for other in others:
-            np.testing.assert_array_equal(file.read(other), right.read(other))
-
-
-def test_a_small_dataset_is_right_in_all_rows_before_any_is_given(originals: dict[str, Path], tmp_path: Path) -> None:
-    """Assert that the first rows of a dataset whose last one is wrong are not handed out."""
-    path = changed(originals, tmp_path, "recording", setting("control/phase", 77, -1))
-    with StageFile(path) as file, pytest.raises(SchemaError, match="control/phase is impossible"):
-        file.read("control/phase", 0, 1)
 
 
 def test_no_length_is_believed_of_rows_that_are_not_there(originals: dict[str, Path], tmp_path: Path) -> None:

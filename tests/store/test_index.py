@@ -111,25 +111,6 @@ def test_nothing_is_opened_where_nothing_changed(folder: Path, monkeypatch: pyte
     assert (folder / index.NAME).stat().st_mtime_ns == written
 
 
-def test_what_could_not_be_read_is_tried_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a reason that passed leaves the index though the file did not change; no other file is read."""
-    name, reads = next(folder.glob("*.tracks.h5")).name, index.describe
-
-    def refuse(folder: Path, name: str, *seen: int) -> index.IndexRow:
-        return index.IndexRow(name, *seen, error="cannot be opened: Permission denied")
-
-    right = table(folder)
-    (folder / name).touch()
-    monkeypatch.setattr(index, "describe", refuse)
-    assert table(folder)[name].error is not None
-    written = (folder / index.NAME).stat().st_mtime_ns
-    assert read(folder) == (1, 0) and (folder / index.NAME).stat().st_mtime_ns == written
-    monkeypatch.setattr(index, "describe", reads)
-    assert read(folder) == (1, 0)
-    assert table(folder)[name].recipe_id == right[name].recipe_id
-    assert read(folder) == (0, 0)
-
-
 def test_a_folder_that_cannot_be_written_to(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that it is answered all the same, from memory, and that an old index is used as far as it is right."""
 

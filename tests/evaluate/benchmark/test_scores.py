@@ -78,12 +78,6 @@ def test_a_warning_counts_at_one_false_alarm_per_minute(
     assert row["quiet_minutes"] == 1.0
 
 
-def test_a_constant_score_warns_of_nothing(known: tuple[Benchmark, dict[str, Truth]]) -> None:
-    """Assert that alarms all the time, or never, give no warning."""
-    scored_same = {name: np.full(MS, 0.5, np.float32) for name in ("a", "b", "quiet")}
-    assert value(scores.all_rows(*known, Predictions(warning=scored_same), None), "warning") == 0.0
-
-
 def test_any_increasing_scale_of_the_score_is_the_same(known: tuple[Benchmark, dict[str, Truth]]) -> None:
     """Assert that the warnings of a score do not depend on its scale, so that it need not be a probability."""
     benchmark, true = known

@@ -1,12 +1,10 @@
 """The part `label`: real labels of a short slip, every method against the reference."""
 
 import json
-from pathlib import Path
 
 import pytest
 
 from evetac_cli.commands.evaluate import EvaluateCost
-from evetac_cli.commands.record import Record
 from evetac_cli.evaluate.cost import command as cost
 from evetac_cli.evaluate.cost import labels
 from evetac_cli.jobs import silent
@@ -47,26 +45,3 @@ def test_searching_gives_the_onset_of_every_slice(made: Made, one_recording: Non
         searched, _ = settings["farneback, steps of 5 ms"](recording)
     assert abs(onset - true) <= 20
     assert abs(searched - onset) <= 1
-
-
-def test_so_many_trials(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Assert that trials go through all objects, then through them again, each a trial of its own."""
-
-    class Slips:
-        def __enter__(self) -> "Slips":
-            return self
-
-        def __exit__(self, *_: object) -> None:
-            pass
-
-    monkeypatch.setattr(labels.record, "run", lambda job, params: None)
-    monkeypatch.setattr(labels, "open_recording", lambda path: Slips())
-    monkeypatch.setattr(labels, "true_onset", lambda recording: 5)
-    monkeypatch.setattr(labels.label, "compute", lambda recording, params: None)
-    chosen = Record(scene="slip", objects="1,3,4", seed=10_000)
-    assert [path.name for path in labels._record(chosen, tmp_path, None)] == [
-        f"slip-obj{number:02d}-s10000-000.recording.h5" for number in (1, 3, 4)
-    ]
-    names = [path.name for path in labels._record(chosen, tmp_path, 5)]
-    expected = ((1, 0), (3, 0), (4, 0), (1, 1), (3, 1))
-    assert names == [f"slip-obj{number:02d}-s10000-{trial:03d}.recording.h5" for number, trial in expected]

@@ -11,7 +11,6 @@ from typer.testing import CliRunner
 
 from evetac_cli.cli import main
 from evetac_cli.commands.evaluate import EvaluateCost, EvaluateSlip
-from evetac_cli.errors import InputError
 from evetac_cli.evaluate import slip
 from evetac_cli.evaluate.cost import command as cost
 from evetac_cli.evaluate.cost import models
@@ -142,23 +141,6 @@ def test_figures_are_those_of_evaluate_slip(files: dict[str, list[Path]], quick:
         weights = {name: shape for name, (_, shape) in model.contents().items() if name.startswith("weights/")}
     trained_numbers = sum(int(np.prod(shape)) for name, shape in weights.items() if "input_" not in name)
     assert outcome.rows[0]["parameters"] == trained_numbers == 14_895
-
-
-@pytest.mark.slow
-def test_what_is_refused(files: dict[str, list[Path]], quick: None, tmp_path: Path) -> None:
-    """Assert that files for another part, models without their report, and reports on others are errors."""
-    for others in ([], files["features"]):
-        with pytest.raises(InputError):
-            cost.jobs(others, EvaluateCost(part="model", model=files["seeds"][0]), tmp_path)
-    with pytest.raises(InputError, match="wrong kind of file"):
-        make([files["features"][0], *files["seeds"]], tmp_path / "c.report.h5")
-    report = evaluated(files, files["seeds"], tmp_path / "b.report.h5")
-    for members, shared in ((files["down5"], 0), (files["seeds"][:1], 1), ([*files["seeds"], *files["down5"]], 2)):
-        with pytest.raises(InputError, match=f"on 2 models, {shared} of these"):
-            make([report, *members], tmp_path / "c.report.h5")
-    make([], tmp_path / "d.report.h5")
-    with pytest.raises(InputError, match="evaluate cost, on 0 models"):
-        make([tmp_path / "d.report.h5", *files["seeds"]], tmp_path / "c.report.h5")
 
 
 def test_the_command(files: dict[str, list[Path]], quick: None, tmp_path: Path) -> None:

@@ -187,24 +187,3 @@ def test_a_grasp(tmp_path: Path) -> None:
     assert lifted.held
     assert 0 < lifted.moved_mm < 25
     assert lifted.grasp_us > 0
-
-
-def test_the_picture() -> None:
-    """Assert a panel for each error with a title, a line for each kind of setting, and the defaults as a point."""
-    figure_module, axes_module = (pytest.importorskip(f"matplotlib.{name}") for name in ("figure", "axes"))
-    rows = tables(
-        [
-            measured(SolverSetting("reference", solver={"step_ms": 0.1}), 999.0, 0.0),
-            measured(DEFAULTS, 300.0, 20.0),
-            *(
-                measured(one, 600.0 / one.solver["step_ms"], 10.0)
-                for one in line("fixed step", "step_ms", (0.5, 1.0), "ms")
-            ),
-        ]
-    )
-    figure = figure_module.Figure()
-    pipeline.draw_settings(figure, rows, ERRORS)
-    assert len([axes for axes in figure.findobj(axes_module.Axes) if axes.get_title()]) == len(ERRORS)
-    labels = set(figure.findobj(axes_module.Axes)[0].get_legend_handles_labels()[1])
-    assert {"defaults", "fixed step, 0.5 ms to 1 ms"} <= labels
-    figure.canvas.draw()

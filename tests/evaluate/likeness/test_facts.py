@@ -16,7 +16,6 @@ from evetac_cli.evaluate.likeness.facts import (
     UNTOLD,
     WITHIN,
     Fact,
-    as_text,
     by_name,
     constant_of,
     facts,
@@ -88,20 +87,6 @@ def test_several_figures_hold_together() -> None:
     assert two.compare((3.0, None)) == OFF
     assert two.compare((1.0, None)) is None
     assert fact(low=(0.3,), high=(1.0,)).compare((0.75, 0.95)) == WITHIN  # one range for all figures
-
-
-def test_figures_in_words() -> None:
-    """Assert that figures have three digits, that a missing one says so, and that none are an empty text."""
-    assert as_text((0.12345, None, 1234.5)) == "0.123; unknown; 1,234"
-    assert as_text((None,)) == as_text(()) == ""
-
-
-def test_public_figures_in_short() -> None:
-    """Assert that figures, their spread and their unit stand together, and that words alone are said to be that."""
-    assert by_name("data-rate-slip").published == "0.119 (0.113 to 0.125)"
-    assert by_name("half-slipped-time").published == "0 to 30 ms"
-    assert by_name("loudest-slice").published == "4,000 events"
-    assert by_name("background-filter").published == "in words alone"
 
 
 def test_what_constants_are_fitted_to_is_on_the_list() -> None:

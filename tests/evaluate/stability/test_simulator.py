@@ -95,16 +95,3 @@ def test_wrong_events_are_seen(monkeypatch):
     shift.update(x=0)
     few = CameraCase("moving", moving.model, dots=moving.dots, events=(0, 3))
     assert not_ok(camera_rows(few, 1)) == {EVENTS.quantity}
-
-
-def test_a_reference_that_is_no_number_is_seen(monkeypatch):
-    """Assert that a pixel whose reference became NaN is counted."""
-
-    def step(state, *given):
-        events = real(state, *given)
-        state.reference.flat[7] = np.nan
-        return events
-
-    real = camera.step
-    monkeypatch.setattr(simulator_stability.camera, "step", step)
-    assert FINITE.quantity in not_ok(camera_rows(CameraCase("still", simulator_stability.QUIET), 1))

@@ -1,10 +1,6 @@
 """AEDAT4 files: whole ones are read as they are, of damaged ones what is intact, and nothing hangs."""
 
-import multiprocessing.process
 import struct
-import subprocess
-import tempfile
-import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -87,24 +83,6 @@ def test_cut_aedat4_keeps_what_arrived(aedat4: tuple[Path, Events], spans: Any, 
         refusal(cut)
 
 
-def test_damage_is_met_once_and_needs_neither_file_nor_process(
-    aedat4: tuple[Path, Events], spans: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Assert that each packet is decoded once, in this process and in memory: nothing is left, whatever ends it."""
-    data = bytearray(aedat4[0].read_bytes())
-    data[spans[2][0] + 20 : spans[2][0] + 60] = bytes(40)
-    path = tmp_path / "a.aedat4"
-    path.write_bytes(data)
-    content, payloads = aedat4_packets.content, []
-    monkeypatch.setattr(aedat4_packets, "content", lambda *given: payloads.append(given[2]) or content(*given))
-    monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("another process"))
-    monkeypatch.setattr(multiprocessing.process.BaseProcess, "start", lambda *_: pytest.fail("another process"))
-    for name in ("TemporaryFile", "NamedTemporaryFile", "mkdtemp"):
-        monkeypatch.setattr(tempfile, name, lambda *_, **__: pytest.fail("a file"))
-    assert read_events(path).events.size == 4000
-    assert len(payloads) == len(set(payloads)) == 5
-
-
 def test_aedat4_that_was_never_closed_is_read(aedat4: tuple[Path, Events], spans: Any, tmp_path: Path) -> None:
     """Assert that the file of a recorder that was killed gives all complete packets, with a note."""
     path, written = aedat4
@@ -177,36 +155,6 @@ def test_payloads_as_faery_reads_them(tmp_path: Path, compression: Any) -> None:
     assert np.array_equal(theirs["t"].astype(np.int64), imported.events.t + imported.t_offset_us)
     for name, column in (("x", imported.events.x), ("y", imported.events.y), ("on", imported.events.p)):
         assert np.array_equal(theirs[name], column)
-
-
-@pytest.mark.parametrize("name", ["davis346", "multistream", "dvxplorer_static_noise"])
-def test_other_payloads_as_faery_reads_them(name: str, outside_file: Callable[[str], Path]) -> None:
-    """Assert equal IMU samples, triggers and frames with another library, on files of the makers."""
-    aedat = pytest.importorskip("faery").extension.aedat
-    path = outside_file(f"{name}.aedat4")
-    with path.open("rb") as handle:
-        header = aedat4_packets.read_header(handle, str(path))
-        ours = {
-            stream.number: list(
-                aedat4_packets.decoded(
-                    handle,
-                    aedat4_packets.walk(handle, header, stream.number).spans,
-                    stream.kind,
-                    header.compression,
-                )
-            )
-            for stream in header.streams
-        }
-    with aedat.Decoder(path) as decoder:
-        for track, theirs in decoder:
-            mine = ours[track.id].pop(0)
-            if track.data_type == "frame":
-                assert (mine.t, mine.format) == (theirs.t, theirs.format)
-                assert np.array_equal(mine.pixels, theirs.pixels)
-            else:
-                for field in theirs.dtype.names:
-                    assert np.array_equal(mine[field], theirs[field].astype(mine[field].dtype)), field
-    assert not any(ours.values())
 
 
 def test_streams_are_chosen_by_name(tmp_path: Path) -> None:
@@ -303,13 +251,6 @@ def test_damage_costs_no_more_than_the_packets_it_hits(
     assert refused < 12
 
 
-def test_real_aedat4_without_events(outside_file: Callable[[str], Path]) -> None:
-    """Assert that a file of two streams without a packet is a recording without events."""
-    imported = read_events(outside_file("empty_stereo.aedat4"))
-    assert (imported.events.size, imported.slices) == (0, 0)
-    assert imported.notes[-1] == "the file has no events"
-
-
 def test_real_frames_are_no_events(outside_file: Callable[[str], Path]) -> None:
     """Assert that a file of frames is refused in words."""
     words = refusal(outside_file("frames_only.aedat4"))
@@ -323,20 +264,6 @@ def zeros(kind: bytes, size: int, per_item: int) -> Any:
     body = bytearray(size)
     struct.pack_into("<II4sHHHHiII", body, 0, size - 4, 16, kind, 6, 8, 4, 0, 8, 4, (size - 32) // per_item)
     return zstandard.ZstdCompressor(level=19).compress(bytes(body))
-
-
-@pytest.mark.parametrize("kind", ["IMUS", "TRIG"])
-def test_a_small_packet_of_very_many_tables(kind: str) -> None:
-    """Assert that a kB which stands for millions of samples that share their bytes is a damaged packet, at once."""
-    packet = zeros(kind.encode(), 1 << 24, 4)
-    assert len(packet) < 1000
-    tracemalloc.start()
-    with pytest.raises(ValueError, match="tables do not fit"):
-        aedat4_packets.content(kind, 3, packet)
-    assert tracemalloc.get_traced_memory()[1] < 80 << 20
-    tracemalloc.stop()
-    with pytest.raises(ValueError, match="too large"):
-        aedat4_packets.content(kind, 3, zeros(kind.encode(), 100 << 20, 4))
 
 
 def test_a_small_file_does_not_become_a_large_one(tmp_path: Path) -> None:

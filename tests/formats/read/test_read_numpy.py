@@ -120,17 +120,6 @@ def test_blocks_join(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "at index 50 from" in refusal(tmp_path / "late.npz", frame_px=FRAME)
 
 
-def test_several_tables_are_streams(tmp_path: Path) -> None:
-    """Assert that of several tables one is taken and the others are named, and --stream chooses."""
-    table = np.stack([column.astype(np.int64) for column in EVENTS], axis=1)
-    np.savez(tmp_path / "a.npz", right=table[:100], left=table)
-    imported = read_events(tmp_path / "a.npz", frame_px=FRAME)
-    assert imported.events.size == 3000
-    assert imported.notes[0] == "read the array left; the file also has: right (choose with --stream)"
-    assert read_events(tmp_path / "a.npz", frame_px=FRAME, stream="right").events.size == 100
-    assert "left or right" in refusal(tmp_path / "a.npz", frame_px=FRAME, stream="middle")
-
-
 def test_no_events_are_a_recording_without_any(tmp_path: Path) -> None:
     """Assert that empty arrays are read as such, once the frame is said."""
     np.save(tmp_path / "a.npy", np.empty((0, 4)))
@@ -195,14 +184,6 @@ def test_an_archive_that_unpacks_to_more_than_events_can(tmp_path: Path) -> None
     assert "unpack to too much" in words
     assert tracemalloc.get_traced_memory()[1] < 8 << 20
     tracemalloc.stop()
-
-
-def test_other_archives_are_refused(tmp_path: Path) -> None:
-    """Assert that an archive of something else is told to be unpacked."""
-    path = tmp_path / "a.zip"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("events.txt", "0 1 2 1\n")
-    assert "unpack it" in refusal(path, frame_px=FRAME)
 
 
 @pytest.mark.parametrize(

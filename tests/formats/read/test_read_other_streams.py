@@ -1,7 +1,6 @@
 """What is kept beside events: IMU samples, triggers and frames of AEDAT4 and of bags, as other libraries read them."""
 
 import json
-import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -116,20 +115,6 @@ def test_damage_costs_the_samples_it_hits(aedat4: Path, tmp_path: Path) -> None:
     assert imported.events.size == 20
     assert imported.left_out["unreadable packets of IMU samples"] == 1
     assert len(spans) == 1 and list(streams_of(imported)) == ["triggers"]  # dv-processing packs them together
-
-
-def test_a_file_that_was_never_closed_keeps_them(aedat4: Path, tmp_path: Path) -> None:
-    """Assert that without a packet table the same samples are kept, and nothing is counted twice."""
-    data = aedat4.read_bytes()
-    with aedat4.open("rb") as handle:
-        table = read_header(handle, "").table
-    path = tmp_path / "a.aedat4"
-    path.write_bytes(data[:table].replace(struct.pack("<q", table), struct.pack("<q", -1), 1))
-    imported, whole = read_events(path), read_events(aedat4)
-    assert [(one.name, one.t_us.tolist()) for one in imported.streams] == [
-        (one.name, one.t_us.tolist()) for one in whole.streams
-    ]
-    assert imported.left_out == whole.left_out
 
 
 REAL = {"dvxplorer_static_noise": (2188, 0, 0), "davis346": (2363, 236, 59), "multistream": (3836, 101, 25)}

@@ -15,7 +15,6 @@ import pytest
 
 from evetac_cli.commands.export import Export
 from evetac_cli.events import Events
-from evetac_cli.formats.exports import export
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.bags import read_rosbag
 from evetac_cli.formats.read.bags.ros_messages import Packet, mono
@@ -25,7 +24,7 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.store.recordings.streams import Stream, mark_row
 from tests import small_files
-from tests.formats.test_exports import drawn, refusal, write
+from tests.formats.test_exports import drawn, write
 from tests.importing import same
 from tests.pages.view.trials import REST, SLICES, moving, write_labels, write_recording, write_tracks
 
@@ -149,20 +148,6 @@ def points(cloud: Any) -> Any:
     return np.frombuffer(cloud.data, dtype).reshape(cloud.height, cloud.width)
 
 
-def test_the_library_of_bags_reads_it(recording: Path) -> None:
-    """Assert that rosbags decodes every message by the definitions in the file alone."""
-    from rosbags.highlevel import AnyReader
-
-    counts: dict[str, int] = defaultdict(int)
-    with AnyReader([recording.with_name("a.mcap")]) as reader:
-        for connection, _, content in reader.messages():
-            message = reader.deserialize(content, connection.msgtype)
-            counts[connection.topic] += 1
-            if connection.topic == "/evetac/events":
-                assert len(message.events) == 8 * 4  # type: ignore[attr-defined]
-    assert counts == {topic: count for topic, (count, _) in MESSAGES.items()}
-
-
 def test_our_import_reads_it_and_names_the_rest(recording: Path) -> None:
     """Assert equal events, slices and mark, and that the other topics are counted as left out."""
     imported = read_events(recording.with_name("a.mcap"))
@@ -254,16 +239,6 @@ def test_other_streams_of_the_trial(tmp_path: Path) -> None:
     ]
     np.testing.assert_array_equal([m.data.reshape(4, 5, 3) for _, m in pictures], images[1:])
     assert '"what": "an arm"' in topics["/evetac/streams/arm_left/about"][0][1].data
-
-
-def test_what_ros_has_no_room_for_is_refused(tmp_path: Path) -> None:
-    """Assert that times before 1970 or after 2038, and frames of too many rows, are refused in words."""
-    target = tmp_path / "x.mcap"
-    for offset, more in ((-1, {}), (2**31 * 10**6, {}), (0, {"sensor/frame_px": np.array([640, 40_000], np.int32)})):
-        source = write(tmp_path / "a.recording.h5", drawn(5), 9, offset, more=more)
-        words = refusal(lambda source=source: export(source, "mcap", target))  # type: ignore[misc]
-        assert ("ROS messages" if offset else "too many rows") in words
-        assert not target.exists()
 
 
 def test_the_node_of_the_docs_publishes_what_we_read(monkeypatch: pytest.MonkeyPatch) -> None:

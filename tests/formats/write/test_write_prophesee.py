@@ -97,21 +97,6 @@ def test_too_long_a_recording_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "a.dat").exists()
 
 
-@pytest.mark.parametrize("format_", FORMATS)
-def test_cut_files_end_with_their_last_event(tmp_path: Path, format_: str) -> None:
-    """Assert that what is missing is counted, and that no silence is made up for it."""
-    events = drawn(5000)
-    path = exported(tmp_path, events, 4000, format_, t_offset=1000)
-    whole = path.read_bytes()
-    for share in (0.3, 0.9):
-        path.write_bytes(whole[: round(share * len(whole))])
-        imported = read_events(path)
-        count = imported.events.size
-        assert 0 < count < 5000 and same(imported.events, events.part(0, count))
-        assert imported.slices == int(events.t[count - 1]) // 1000 + 1
-        assert any(f"{count} events" in note for note in imported.notes)
-
-
 @pytest.mark.parametrize("offset", ["x", "9" * 17, str(2**53), "-"])
 def test_a_damaged_offset_is_refused(tmp_path: Path, offset: str) -> None:
     """Assert that a line of ours that says anything else than microseconds is not believed."""

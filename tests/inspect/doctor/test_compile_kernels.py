@@ -99,16 +99,3 @@ def test_a_process_that_dies_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compile_kernels.sys, "executable", "false")
     with pytest.raises(EvetacError, match="track a: .*\n.*exit code 1"):
         compile_kernels.run(commands=("track a",), say=lambda line: None)
-
-
-def test_each_command_is_said_as_it_begins() -> None:
-    """Assert a line for each command with its number and the number of all, and a row for each."""
-    said: list[str] = []
-    importing = "record --from events.txt --frame-size 640x480 --calibration grid.json --out {}.recording.h5"
-    done: list[tuple[float, float]] = []
-    commands = importing.format("a"), importing.format("b")
-    outcome = compile_kernels.run(lambda *how: done.append(how[:2]), commands, said.append)
-    assert "once after installation: 2 commands" in said[0]
-    assert said[1:] == [f"compiling {number} of 2: record ..." for number in (1, 2)]
-    assert [row["part"] for row in outcome.rows] == ["record"] * 2
-    assert done == [(number, 2) for number in range(3)]

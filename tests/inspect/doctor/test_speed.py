@@ -95,15 +95,6 @@ def test_late_wake_ups_are_blamed_on_what_can_be_changed() -> None:
     assert wrong(**figures)["core 1 wakes"]["fix"] == "; ".join([speed.CLOSE, speed.PERMIT, speed.SET_GOVERNOR])
 
 
-def test_priority_and_clock_rate_are_wrong_for_nobody_who_wakes_in_time() -> None:
-    assert wrong(scheduling="nice -10", governor="powersave") == {}
-    rows = speed.run(Doctor(speed=True), Made(scheduling="nice -10", governor="powersave")).rows
-    fixes = {row["check"]: row["fix"] for row in rows if row["ok"] is None}
-    assert fixes == {"priority": speed.PERMIT, "clock rate": speed.SET_GOVERNOR}
-    rows = speed.run(Doctor(speed=True), Made(governor=None)).rows
-    assert "clock rate" not in {row["check"] for row in rows}
-
-
 def test_this_computer_is_measured_and_left_as_it_was(tmp_path: Path) -> None:
     """Assert that wake-ups and governor are known, and that the cores of this thread do not change."""
     cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else None

@@ -16,7 +16,6 @@ from evetac_cli.jobs import silent
 from evetac_cli.pages import report, shared, view
 from evetac_cli.pages.report import figures
 from evetac_cli.pages.report.study import Study, read_study, remark
-from evetac_cli.pages.shared import figure_text
 from tests.make import evetac
 from tests.pages.report.studies import slip_rows, write_report, write_trials
 from tests.pages.view.trials import NASTY, ONSET, write_recording
@@ -127,38 +126,6 @@ def test_text_from_files_is_escaped(tmp_path: Path) -> None:
     assert "<img src=x" not in text
 
 
-def test_headline(study: Study) -> None:
-    """Assert that figures of the whole study are those of its trials."""
-    values = {figure.name: figure.value for figure in figures.headline(study)}
-    assert values["trials"] == 5
-    assert (values["events"], values["recorded"]) == (6000, pytest.approx(1.5))
-    assert values["onsets with a label"] == pytest.approx(4 / 5)
-    assert values["labels within -4..+3 ms of the truth"] == pytest.approx(3 / 5)
-    assert values["t_c - t_s, median [ms]"] == pytest.approx(2.5)
-    assert values["timing correct, all models"] == pytest.approx(3 / 5)
-
-
-@pytest.mark.parametrize(
-    ("value", "kind", "words"),
-    [
-        (9.5, "time", "9.5 s"),
-        (0.02, "time", "0.02 s"),
-        (119.0, "time", "119 s"),
-        (1234.0, "time", "20.6 min"),
-        (36_000.0, "time", "10 h"),
-        (-600.0, "time", "-10 min"),
-        (9193, "count", "9,193"),
-        (1_277_530, "count", "1.28 million"),
-        (4.5e9, "count", "4.5 billion"),
-        (0.125, "share", "12%"),
-        (0.165, "", "0.165"),
-    ],
-)
-def test_figures_have_the_unit_of_their_size(value: float, kind: str, words: str) -> None:
-    """Assert that times and counts are written in the unit that people would use."""
-    assert figures.in_words(value, kind) == words
-
-
 @pytest.mark.slow
 def test_two_side_by_side(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that trials of the same recipe are matched, that changes come first, and that the name says both."""
@@ -248,11 +215,3 @@ def test_commands_can_be_copied(tmp_path: Path, name: str, monkeypatch: pytest.M
     assert [word for _, word, _ in words] == ["track", "label", "featurize"]
     write_recording(folder / "g.recording.h5", 60, grasp=True)  # of which nothing can be made
     assert [shlex.split(command)[2] for command in commands(Path(name))] == [f"{words[0][2]}/a.recording.h5"] * 3
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(None, "-"), (float("nan"), "-"), (float("inf"), "never"), (True, "yes"), (0.12345, "0.123"), (12345, "12,345")],
-)
-def test_cells(value: Any, text: str) -> None:
-    assert figure_text(value) == text

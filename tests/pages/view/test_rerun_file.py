@@ -1,7 +1,6 @@
 """view --rrd: rerun's own reader finds every part of a trial, on one timeline, and what was thinned is said."""
 
 import io
-import sys
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import pytest
 from PIL import Image
 
 from evetac_cli.commands.view import View
-from evetac_cli.errors import EvetacError, InputError
+from evetac_cli.errors import InputError
 from evetac_cli.pages import view
 from evetac_cli.pages.view import rerun_file
 from evetac_cli.store.recordings.read import open_recording
@@ -192,10 +191,3 @@ def test_a_file_that_is_not_complete_is_no_file(trial: Path, monkeypatch: pytest
     with pytest.raises(InputError, match="the file is not complete"):
         rrd_of(trial)
     assert list(trial.parent.glob("*.rrd")) == []
-
-
-def test_rerun_needs_the_extra_view(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a missing library is named with the command that installs it, before any work."""
-    monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(EvetacError, match=r"pip install .*'\.\[view\]'"):
-        rrd_of(trial)

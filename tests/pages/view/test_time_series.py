@@ -118,9 +118,7 @@ def panel_of(data: ViewData, title: str) -> Panel:
             "slide of more than 0.3 px",
         ),
         ({"method": "event-flow", "slip_distance_px": 1.5}, 640.0, ONSET - 40, "more than 1.5 px"),
-        ({"method": "farneback", "look_ahead_ms": 7}, 30.0, ONSET, "more than 0.3 px"),
         ({"method": "dis", "threshold_px": 12.0, "look_ahead_ms": 4}, 25.0, ONSET, "12 px"),
-        ({}, 11.0, ONSET, "over the look-ahead"),
     ],
 )
 def test_flow_is_no_larger_than_it_means(

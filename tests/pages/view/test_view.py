@@ -4,7 +4,6 @@ import base64
 import html
 import json
 import os
-import re
 from pathlib import Path
 from typing import Any
 
@@ -141,22 +140,6 @@ def test_a_part(trial: Path) -> None:
     assert shown(trial, stop_s=99.0).span == (0, SLICES)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("method", "levels"), [("dis", 1), ("event-flow", 1), ("truth", 0), ("<b>", 0)])
-def test_labels_say_their_method(trial: Path, method: str, levels: int) -> None:
-    """Assert that a page names the method of labels, escaped, draws a threshold of flow, and notes copied truth."""
-    with open_recording(trial) as recording:
-        header = recording.header
-    write_labels(trial.with_name("a.labels.h5"), header, method=method, slip_distance_px=0.3)
-    data = shown(trial, images=1)
-    assert data.panels[-1].logarithmic  # after slip the flow is thousands of times the threshold
-    assert data.panels[-1].title == f"Flow that labels slip, {method}"
-    assert len(data.panels[-1].levels) == levels
-    assert ("The labels were copied from the truth (simulated)." in data.notes) == (method == "truth")
-    view.run([trial], View(images=1), None)
-    assert f"Flow that labels slip, {html.escape(method)} " in trial.with_name("a.html").read_text(encoding="utf-8")
-
-
 def test_labels_that_abstain_say_so(trial: Path) -> None:
     """Assert that a page notes why labels abstain, and shows the interval of their onset; and who labelled by hand."""
     with open_recording(trial) as recording:
@@ -172,13 +155,6 @@ def test_labels_that_abstain_say_so(trial: Path) -> None:
     text = trial.with_name("a.html").read_text(encoding="utf-8")
     assert f"abstains, within {(ONSET - 5) / 1000:.3f} to {(ONSET + 5) / 1000:.3f} s" in text
     assert "it is &lt;slow&gt;" in text
-
-
-def test_neighbours_are_found_from_any_file(trial: Path) -> None:
-    """Assert that each file of a trial leads to the others, by their names."""
-    for kind in ("recording", "tracks", "labels"):
-        with open_trial([trial.with_name(f"a.{kind}.h5")]) as opened:
-            assert [file.kind for file in opened.files] == ["recording", "tracks", "labels"]
 
 
 def test_without_the_recording(trial: Path) -> None:
@@ -218,20 +194,6 @@ def test_tracks_that_are_short(trial: Path) -> None:
     assert data.dot_xy_px is not None
     assert np.isnan(data.dot_xy_px[116:]).all()
     assert np.isfinite(data.dot_xy_px[100:116]).all()
-
-
-@pytest.mark.parametrize("value", [np.nan, -1e30])
-def test_tracks_that_are_impossible_are_left_out(trial: Path, value: float) -> None:
-    """Assert that tracks beside the recording with a dot that is nowhere are left out, and that the page says so."""
-    with open_recording(trial) as recording:
-        header = recording.header
-    dots = moving()
-    dots[40, 1, 0] = value
-    tracks = trial.with_name("a.tracks.h5")
-    tracks.unlink()
-    with small_files.nonsense_is_written():
-        write_tracks(tracks, header, dots)
-    assert "Left out: a.tracks.h5: dot_xy_px is impossible" in shown(trial).notes
 
 
 @pytest.mark.parametrize("slices", [0, 1, 7])
@@ -290,21 +252,6 @@ def test_command(trial: Path) -> None:
     assert sorted(path.name for path in trial.parent.glob(".*")) == []
 
 
-def test_where_the_page_goes(tmp_path: Path) -> None:
-    """Assert that -o takes a file or a folder, and that the default is NAME.html beside the input."""
-    (tmp_path / "dotted.d").mkdir()
-    file = tmp_path / "a.b.recording.h5"
-    write_recording(file, 0, truth=False)
-    for out, expected in (
-        (None, tmp_path / "a.b.html"),
-        (tmp_path / "new", tmp_path / "new" / "a.b.html"),
-        (tmp_path / "dotted.d", tmp_path / "dotted.d" / "a.b.html"),
-        (tmp_path / "c.HTML", tmp_path / "c.HTML"),
-    ):
-        assert view.run([file], View(), out).rows[0]["page"] == str(expected)
-        assert expected.is_file()
-
-
 def test_text_from_files_is_escaped(tmp_path: Path) -> None:
     """Assert that names and scenes which look like markup stay text."""
     path = tmp_path / "a\"'<img src=x onerror=alert(1)>@@DATA@@ü.recording.h5"
@@ -330,21 +277,6 @@ def test_page_is_bounded(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shared, "LARGEST_BYTES", 1_000_000)
     with pytest.raises(EvetacError, match="too large"):
         view.run([trial], View(images=1), None)
-
-
-def test_page_says_what_it_shows(page: Path) -> None:
-    """Assert that file, scene, object, recipe id and origin are in the page, and the data that its script draws."""
-    text = page.read_text()
-    assert "default-src 'none'" in text and "@@" not in text
-    assert re.findall(r"<(?:script|link|img|iframe)[^>]*(?:src|href)=", text) == []  # it loads nothing
-    with open_recording(page.with_name("a.recording.h5")) as recording:
-        assert recording.header["id"] in text
-    for words in (">simulated<", "scene <b>slip</b>", "object <b>8</b>", "a.tracks.h5", "0.200 s", "+3 ms"):
-        assert words in text, words
-    data = page_data(page)
-    tracked = np.frombuffer(base64.b64decode(data["tracked"]), "<f4").reshape(-1, 6, 2)
-    np.testing.assert_allclose(tracked, moving()[4:].astype(np.float32))
-    assert data["onsets"] == {"truth": ONSET, "label": ONSET + 3}
 
 
 @pytest.mark.parametrize(
@@ -393,15 +325,3 @@ def test_a_grasp(tmp_path: Path) -> None:
     text = path.with_name("g.html").read_text()
     for words in ("grasp <b>held to the end", "moved <b>1.2 mm", "object&#x27;s material <b>paper"):
         assert words.replace("&#x27;", "'") in text, words
-
-
-def test_a_page_opens_where_something_is_seen(tmp_path: Path) -> None:
-    """Assert that the first image shown is the onset's, else the grip's, and never one without an event."""
-    write_recording(tmp_path / "g.recording.h5", grasp=True)
-    data = shown(tmp_path / "g.recording.h5")
-    assert data.frame_times[data.opens_at] == 250
-    data.onsets = {"truth": None}
-    assert data.frame_times[event_images.telling_frame(data)] == GRIPPED
-    data.events = [0] * len(data.events)
-    data.events[7] = 3
-    assert event_images.telling_frame(data) == 7

@@ -59,18 +59,6 @@ def test_rows_come_back(
             np.testing.assert_array_equal(reader.read(start, stop), wanted[start:stop])
 
 
-def test_a_dataset_that_may_grow_goes_on() -> None:
-    """Assert that another program can add rows to what was written here."""
-    with h5py.File("none", "w", driver="core", backing_store=False) as h5:
-        writer = RowWriter(h5, "a", np.int32, (2,))
-        writer.append(numbers(np.int32, 1500, (2,)))
-        writer.close()
-        h5["a"].resize(2100, axis=0)
-        h5["a"][1500:] = 7
-        np.testing.assert_array_equal(RowReader(h5["a"].id, h5["a"].dtype).read(1400, 2100), h5["a"][1400:2100])
-        assert (h5["a"][1500:] == 7).all()
-
-
 @pytest.mark.parametrize(
     "packed_as",
     [

@@ -1,7 +1,5 @@
 """What programs of others read in our files: xarray, pandas, h5py, h5glance and h5dump; no plugin, no netCDF4."""
 
-import shutil
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,11 +21,12 @@ from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.layout.schema import KINDS, Dataset
 from evetac_cli.store.recordings.segments import RecordingWriter
 from tests.conftest import Made
-from tests.patience import PATIENCE_S
+from tests.make import label_arrays
 
 WEIGHTS = {"conv.weight": (8, 8, 3), "out.weight": (1, 8), "out.bias": (1,)}
 SHARED = {"slices": 90, "dots": 56, "rows": 7, "columns": 8, "events": 300}  # other dimensions have 11 rows
 UNIT = "N m"  # of the column of another stream
+LABELS = label_arrays(np.zeros(90), -1)
 TEXT = f'{{"object": 8, "units": {{"camera.dropped": "{UNIT}"}}}}'
 
 
@@ -61,17 +60,6 @@ def said(row: Dataset, name: str) -> tuple[str, str]:
         return row.unit or "1", row.meaning
     column, group = name.split("/")[::-1][:2]
     return UNIT, f"{column}, {group}"
-
-
-def labels() -> dict[str, Any]:
-    """A labels file as its stage might write it."""
-    return {
-        "label": np.zeros(90, np.int8),
-        "relative_flow_px": np.zeros(90, np.float32),
-        "onset_slice": np.int64(-1),
-        "confidence": np.float64("nan"),
-        "flow_pairs_computed": np.int64(0),
-    }
 
 
 def datasets(h5: h5py.File) -> dict[str, Any]:
@@ -110,28 +98,6 @@ def test_xarray_reads_every_kind(tmp_path: Path, kind: str) -> None:
         assert [dim for dim in variable.dims if dim in named or dim == "slice_edges"] == [
             "slice_edges" if dim == "slices+1" else dim for dim in named
         ]
-
-
-def test_dimensions_are_shared_between_groups(tmp_path: Path) -> None:
-    """Assert that a dimension of several groups is one, at the root, and xarray hands it down."""
-    with h5py.File(written(tmp_path / "a.h5", "recording", every_dataset("recording"))) as h5:
-        for name in ("truth/slip", "control/probability"):
-            assert h5[name].dims[0][0] == h5["slices"]
-        assert h5["ms_to_idx"].dims[0][0] == h5["slice_edges"]
-        assert h5["events/t"].dims[0][0] == h5["events/x"].dims[0][0] == h5["events/events"]
-    read = in_xarray(tmp_path / "a.h5")
-    assert read["truth/dot_xy_px"].dims == ("slices", "dots", "xy")
-    assert read["sensor/frame_px"].dims == ("width_height",)
-    assert read["capture/lost_slices"].dims == ("gaps", "first_end")
-    assert read["capture/latency_us"].dims == ("median_p99_most",)
-    model = in_xarray(written(tmp_path / "m.h5", "model", every_dataset("model")))
-    assert model["weights/conv.weight"].dims == ("size_8", "size_8_2", "size_3")
-    touch = in_xarray(written(tmp_path / "t.h5", "touch", every_dataset("touch")))
-    assert touch["normal_n"].dims == ("slices",) and touch["normal_n"].attrs["units"] == "N"
-    assert touch["map/pressure_pa"].dims == ("maps", "map_rows", "map_columns")
-    assert touch["map/shear_pa"].dims == ("maps", "xy", "map_rows", "map_columns")
-    force = in_xarray(written(tmp_path / "f.h5", "force-model", every_dataset("force-model")))
-    assert force["regression/slope_n_px"].dims == ("displacement_xy", "xy")
 
 
 @pytest.mark.parametrize("length", [0, 1])
@@ -180,7 +146,7 @@ def test_dimensions_take_no_room(tmp_path: Path, kind: str) -> None:
 def test_header_in_words(tmp_path: Path) -> None:
     """Assert that the root says in plain attributes what the JSON header says."""
     recording = Recipe("recording", 7, {}, seed=1, simulated_source=True).header()
-    path = written(tmp_path / "a.h5", "labels", labels(), seed=2, parents=(recording,))
+    path = written(tmp_path / "a.h5", "labels", LABELS, seed=2, parents=(recording,))
     with h5py.File(path) as h5, StageFile(path) as file:
         said = dict(h5.attrs)
         assert said.pop("header")
@@ -199,11 +165,11 @@ def test_header_in_words(tmp_path: Path) -> None:
 def test_header_in_words_of_other_sources(tmp_path: Path) -> None:
     """Assert that measured data is not called simulated, and that a huge seed and many parents are no trouble."""
     parents = tuple(Recipe("features", 1, {}, seed=seed).header() for seed in range(50))
-    with h5py.File(written(tmp_path / "a.h5", "labels", labels(), seed=2**70, parents=parents)) as h5:
+    with h5py.File(written(tmp_path / "a.h5", "labels", LABELS, seed=2**70, parents=parents)) as h5:
         assert (h5.attrs["simulated"], h5.attrs["source"]) == ("no", "data from devices or other programs")
         assert h5.attrs["title"] == schema.load("labels").meaning
         assert h5.attrs["seed"] == str(2**70)
-    with h5py.File(written(tmp_path / "b.h5", "labels", labels(), seed=None, content="0" * 64)) as h5:
+    with h5py.File(written(tmp_path / "b.h5", "labels", LABELS, seed=None, content="0" * 64)) as h5:
         assert "seed" not in h5.attrs
 
 
@@ -211,7 +177,7 @@ def test_header_in_words_of_other_sources(tmp_path: Path) -> None:
 def labels_file(tmp_path: Path) -> Path:
     """A labels file as its stage might write it."""
     path = tmp_path / "a.labels.h5"
-    write_stage(path, Recipe("labels", 1, {}, seed=5), labels())
+    write_stage(path, Recipe("labels", 1, {}, seed=5), LABELS)
     return path
 
 
@@ -260,14 +226,3 @@ def test_segments_say_what_they_hold(tmp_path: Path) -> None:
     read = in_xarray(tmp_path / "a.recording.h5")
     assert read["gripper/current_ma"].attrs["units"] == "mA"
     assert read["gripper/current_ma"].sizes == {"commands": 3}
-
-
-def test_h5dump_shows_dimensions_and_units(labels_file: Path) -> None:
-    """Assert that HDF5's own tool, of whatever version is installed, reads attributes and dimensions."""
-    if shutil.which("h5dump") is None:
-        pytest.skip("h5dump is not installed")
-    done = subprocess.run(
-        ["h5dump", "-A", str(labels_file)], capture_output=True, text=True, timeout=PATIENCE_S, check=True
-    )
-    assert '"px"' in done.stdout
-    assert "DIMENSION_SCALE" in done.stdout

@@ -14,6 +14,7 @@ from evetac_cli.store.layout import contents, rules
 from evetac_cli.store.layout.contents import HINT
 from evetac_cli.store.layout.provenance import Recipe
 from tests import small_files
+from tests.make import everything, label_arrays
 
 LABELS = Recipe("labels", 1, {})
 RECORDING = Recipe("recording", 1, {}, seed=1)
@@ -22,29 +23,15 @@ EVENTS, SLICES = 60, 6
 
 def labels(**changes: Any) -> dict[str, Any]:
     """Labels of 100 slices with slip from 70 on."""
-    arrays = {
-        "label": (np.arange(100) >= 70).astype(np.int8),
-        "relative_flow_px": np.full(100, np.nan, np.float32),
-        "onset_slice": np.int64(70),
-        "confidence": np.float64(1.0),
-        "flow_pairs_computed": np.int64(3),
-    }
-    return {**arrays, **changes}
-
-
-def everything(folder: Path) -> list[str]:
-    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+    return label_arrays(np.arange(100) >= 70, 70) | changes
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
         ({"label": np.where(np.arange(100) < 70, 0, 2).astype(np.int8)}, "label is impossible"),
-        ({"relative_flow_px": np.full(100, np.inf, np.float32)}, "relative_flow_px is impossible"),
         ({"onset_slice": np.int64(71)}, "70, the first slice of slip"),
         ({"abstained": np.uint8(1), "onset_slice": np.int64(69)}, "a slice before all slip with label -1"),
-        ({"confidence": np.float64(1.5)}, "confidence is impossible"),
-        ({"flow_pairs_computed": np.int64(-1)}, "flow_pairs_computed is impossible"),
     ],
 )
 def test_arrays_without_sense_leave_nothing(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
@@ -88,8 +75,7 @@ def write_events(path: Path, size: int, starts: Any = None, **changes: tuple[int
 
 
 @pytest.mark.parametrize("size", [7, EVENTS])
-@pytest.mark.parametrize("place", [0, 30, EVENTS - 1])
-@pytest.mark.parametrize(("name", "value"), [("x", 640), ("y", 480), ("p", 2), ("t", -1)])
+@pytest.mark.parametrize(("name", "value", "place"), [("x", 640, 30), ("p", 2, EVENTS - 1), ("t", -1, 0)])
 def test_a_block_without_sense_leaves_the_old_file(
     tmp_path: Path, name: str, value: int, place: int, size: int
 ) -> None:

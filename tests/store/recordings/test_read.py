@@ -21,8 +21,6 @@ from evetac_cli.store.recordings import read
 from evetac_cli.store.recordings.read import Recording, open_recording
 from tests.make import event_arrays
 
-DOTS = np.stack(np.meshgrid([10.0, 20.0, 30.0], [5.0, 15.0]), axis=-1)
-
 
 def pieces_of(counts: list[int]) -> list[Events]:
     """One Events per slice, with running numbers in x to tell them apart."""
@@ -113,16 +111,6 @@ def test_no_block_is_read_before_it_is_asked_for(tmp_path: Path, monkeypatch: py
         assert read_ranges == [(0, 4)]
 
 
-def test_slices_outlive_their_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that slices that were handed out stay valid when other blocks are read and the file is closed."""
-    monkeypatch.setattr(read, "BLOCK_SLICES", 2)
-    counts = [3, 0, 5, 2, 7]
-    with open_recording(str(write_recording(tmp_path / "a.recording.h5", counts))) as recording:
-        picked = [recording[k] for k in (4, 0, 3, 1, 2)]
-    for k, events in zip((4, 0, 3, 1, 2), picked, strict=True):
-        assert equal(events, pieces_of(counts)[k])
-
-
 @pytest.mark.parametrize("slices", [0, 3])
 def test_out_of_range(tmp_path: Path, slices: int) -> None:
     """Assert that a slice that is not there is an IndexError, as in a list, and a range that is not there is named."""
@@ -134,26 +122,6 @@ def test_out_of_range(tmp_path: Path, slices: int) -> None:
             with pytest.raises(InputError, match=f"expected: 0 <= start <= stop <= {slices}"):
                 recording.between(start, stop)
         assert recording.between(slices, slices).size == 0
-
-
-def test_sensor(tmp_path: Path) -> None:
-    """Assert that frame, window and dots are there if stored, and None if not."""
-    with open_recording(write_recording(tmp_path / "a.recording.h5", [1])) as recording:
-        assert recording.frame_px == (2000, 1900)
-        assert recording.window_px is None
-        assert recording.dot_xy_px is None
-    more = {"sensor/window_px": np.array([40, 0, 60, 80], np.int32), "sensor/dot_xy_px": DOTS}
-    with open_recording(write_recording(tmp_path / "b.recording.h5", [1], **more)) as recording:
-        assert recording.window_px == (40, 0, 60, 80)
-        np.testing.assert_array_equal(recording.dot_xy_px, DOTS)
-
-
-def test_other_kinds_are_refused(tmp_path: Path) -> None:
-    """Assert that a report is not opened as a recording."""
-    path = tmp_path / "a.report.h5"
-    write_stage(path, Recipe("report", 1, {}), {"command": "", "rows": "[]", "summary": "{}"})
-    with pytest.raises(InputError, match="wrong kind of file"):
-        open_recording(path)
 
 
 LIES: dict[str, Callable[[NDArray[np.int64]], NDArray[np.int64]]] = {

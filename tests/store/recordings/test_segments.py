@@ -22,6 +22,7 @@ from evetac_cli.store.layout.provenance import Recipe, content_digest
 from evetac_cli.store.recordings import segments
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.store.recordings.segments import RecordingWriter
+from tests.make import everything
 from tests.patience import PATIENCE_S
 
 STATIC: dict[str, Any] = {
@@ -91,11 +92,6 @@ def write(path: Path, counts: list[int], cuts: set[int], every: int) -> dict[str
     return writer.finish(RECIPE, {"truth/sampled_parameters": "{}"})
 
 
-def everything(folder: Path) -> list[str]:
-    """Names of all files and folders below."""
-    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
-
-
 @given(
     st.lists(st.sampled_from([0, 0, 1, 2, 90]), min_size=1, max_size=12),
     st.sets(st.integers(0, 11)),
@@ -137,33 +133,6 @@ def test_segments_close_by_themselves(tmp_path: Path, monkeypatch: pytest.Monkey
     writer.finish(RECIPE)
     with open_recording(tmp_path / "a.recording.h5") as recording:
         assert [events.size for events in recording] == [4, 4, 4, 4, 4, 0]
-
-
-def test_discard_leaves_nothing(tmp_path: Path) -> None:
-    """Assert that a discarded recording leaves no file, however far it had come, and the name is free again."""
-    path = tmp_path / "a.recording.h5"
-    writer = RecordingWriter(path, STATIC)
-    writer.append(some_events(0, 4))
-    writer.close_segment()
-    writer.append(some_events(1, 4))
-    writer.discard()
-    writer.discard()
-    assert everything(tmp_path) == []
-    write(path, [1, 2], set(), 1)
-    assert everything(tmp_path) == ["a.recording.h5"]
-
-
-def test_finishing_replaces_an_older_file(tmp_path: Path) -> None:
-    """Assert that an older file stays until the new one is complete."""
-    path = tmp_path / "a.recording.h5"
-    write(path, [1, 2], set(), 1)
-    writer = RecordingWriter(path, STATIC)
-    writer.append(some_events(0, 9))
-    with open_recording(path) as recording:
-        assert recording.event_count == 3
-    writer.finish(RECIPE)
-    with open_recording(path) as recording:
-        assert recording.event_count == 9
 
 
 KILLED = """
@@ -243,18 +212,6 @@ def test_second_writer_is_refused(tmp_path: Path) -> None:
     with open_recording(path) as recording:
         assert [events.size for events in recording] == [5, 6]
     RecordingWriter(path, STATIC).discard()
-
-
-def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
-    """Assert that files in the way, and a place where nothing can be made, are errors in words."""
-    (tmp_path / "file").write_text("x")
-    (tmp_path / "a.recording.part").write_text("x")
-    for path in (tmp_path / "file" / "a.recording.h5", tmp_path / "a.recording.h5"):
-        with pytest.raises(InputError, match="the output folder is a file"):
-            RecordingWriter(path, STATIC)
-    with pytest.raises(InputError, match="cannot be created"):
-        RecordingWriter(Path("/proc/nowhere/a.recording.h5"), STATIC)
-    assert everything(tmp_path) == ["a.recording.part", "file"]
 
 
 def incomplete(writer: RecordingWriter) -> None:

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from evetac_cli.events import Events
-from evetac_cli.kernels.slip.covariates import SlipCovariates
-from evetac_cli.store.files import StageFile
-from evetac_cli.store.recordings.read import Recording, open_recording, ramp_start, true_onset
-from evetac_cli.store.recordings.slip_covariates import covariates_of_labels, covariates_of_truth, gel_counts
+from evetac_cli.store.recordings.read import open_recording, ramp_start, true_onset
+from evetac_cli.store.recordings.slip_covariates import covariates_of_truth, gel_counts
 from tests.conftest import Made
 from tests.make import event_arrays, write_recording
 
@@ -32,20 +30,6 @@ def test_columns_are_counted_slice_by_slice(tmp_path: Path, start: int, stop: in
         expected = np.bincount(events.t[events.x < columns] // 1000, minlength=2500)[start:stop]
         with open_recording(path) as recording:
             np.testing.assert_array_equal(gel_counts(recording, start, stop, columns), expected)
-
-
-def test_a_narrow_frame_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that x is not read where all columns count."""
-    path, events = columns_file(tmp_path / "a.recording.h5", width=346)
-    read = Recording.read
-
-    def without_x(self: Recording, name: str, *rows: int) -> object:
-        assert name != "events/x"
-        return read(self, name, *rows)
-
-    monkeypatch.setattr(Recording, "read", without_x)
-    with open_recording(path) as recording:
-        np.testing.assert_array_equal(gel_counts(recording), np.bincount(events.t // 1000, minlength=2500))
 
 
 def test_truth_of_a_simulated_slip(made: Made) -> None:
@@ -75,17 +59,6 @@ def test_truth_of_a_simulated_slip(made: Made) -> None:
     assert slip.events_per_ms_about_slip == pytest.approx(inside / (last - first))
     begin = max(first, ramp)
     assert slip.unloading_n_per_s == pytest.approx(1000 * (force[begin] - force[onset]) / (onset - begin), rel=1e-4)
-
-
-def test_labels_of_the_same_slip(made: Made) -> None:
-    """Assert that labels give the rate about their own onset, and leave out what only truth knows."""
-    path = made.recordings[0]
-    with open_recording(path) as recording, StageFile(made.beside(path, "labels")) as labels:
-        slip, onset = covariates_of_labels(recording, labels), int(labels.read("onset_slice"))
-    assert isinstance(slip, SlipCovariates)
-    assert slip.onset_ms == onset
-    assert set(slip.figures()) <= {"events_per_ms_about_slip", "held_over_25_events"}
-    assert slip.events_per_ms_about_slip is not None
 
 
 def test_a_grasp_has_none(made: Made) -> None:

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.sim.setup.solver import Solver
-from evetac_cli.store.recordings import slip_grid
-from evetac_cli.store.recordings.slip_grid import COLUMN, fewest_nodes, once, resting_on, unresolved
+from evetac_cli.store.recordings.slip_grid import COLUMN, fewest_nodes, once, unresolved
 
 
 def test_fewest_nodes() -> None:
@@ -13,15 +12,6 @@ def test_fewest_nodes() -> None:
     assert fewest_nodes(np.array([np.nan, 6.5, np.inf, 3.25], np.float32)) == 3.25
     assert fewest_nodes(5.0) == 5.0
     assert fewest_nodes(np.array([np.nan])) is fewest_nodes(np.empty(0)) is None
-
-
-@pytest.mark.parametrize(("nodes", "said"), [(None, False), (4.0, False), (3.9, True)])
-def test_what_is_said(nodes: float | None, said: bool) -> None:
-    """Assert that only fewer than four nodes are too few, and that it is said what to do."""
-    words = unresolved(nodes, 0.833)
-    assert (words is not None) == said
-    if words:
-        assert "spans 3.9 nodes, fewer than 4; record it with --node-pitch-mm 0.77 or finer" in words
 
 
 @pytest.mark.parametrize("side_mm", [17.0, 20.3, 25.0])
@@ -55,11 +45,3 @@ def test_a_warning_is_said_once() -> None:
     assert once([row(2.5), row(1.5), row(7.0)]) == [
         f"{unresolved(1.5, 0.833)} (2 of 3 recordings need it; this is the coarsest)"
     ]
-
-
-def test_rows_that_rest_on_such_recordings() -> None:
-    """Assert that they are named with their nodes, at most three, and that others are left alone."""
-    assert resting_on([{"file": "a", COLUMN: 4.5}, {"file": "b", COLUMN: None}, {"file": "c"}]) == []
-    (said,) = resting_on([{"file": name, COLUMN: 2.0} for name in "abcde"])
-    assert "slip of 5 recordings (a 2.0, b 2.0, c 2.0 and 2 more; half" in said
-    assert str(slip_grid.FEWEST_NODES) in said

@@ -170,6 +170,16 @@ def mono(events: Events, base_ns: int) -> bytes:
     return words.astype("<u8").tobytes()
 
 
+def packets(types: Types, events: Events, size: int) -> list[Any]:
+    """Events in packets of so many, each on its own time base."""
+    made = []
+    for number, first in enumerate(range(0, events.size, size)):
+        part = events.part(first, first + size)
+        base_ns = 1000 * int(part.t[0])
+        made.append(types.packet(mono(part, base_ns), "mono", number, base_ns))
+    return made
+
+
 def libcaer(events: Events, base_ns: int) -> bytes:
     data = 1 | events.p.astype(np.uint32) << 1 | events.y.astype(np.uint32) << 2 | events.x.astype(np.uint32) << 17
     us = (events.t - base_ns // 1000) % 2**31

@@ -11,12 +11,10 @@ from typing import Any
 
 import pytest
 
-from evetac_cli.events import Events
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.read.bags import bag_files
 from evetac_cli.formats.read.bags.bag_files import zstd_module
-from evetac_cli.formats.streams import read_stream
-from tests.formats.read.bags.bag_writing import START_S, Types, Write, drawn, listed, mono, shifted, write_mcap
+from tests.formats.read.bags.bag_writing import START_S, Types, Write, drawn, listed, packets, shifted, write_mcap
 from tests.importing import event_rows, refusal
 from tests.patience import PATIENCE_S
 
@@ -87,16 +85,6 @@ def test_what_waits_beside_a_database_is_read(whole: Path, tmp_path: Path, in_fi
     assert event_rows(imported) == shifted(EVENTS)
     assert "read together with bag_0.db3-wal (" in " ".join(imported.notes)
     assert state(left.parent) == before
-
-
-def test_a_stream_is_read_with_what_waits_too(write: Write, tmp_path: Path) -> None:
-    """Assert that attach gets the samples that wait beside a database, and says so."""
-    types = Types("db3")
-    numbers = [types.make("std_msgs/msg/Float64", float(k)) for k in range(40)]
-    file = next(write("db3", types, {"/n": numbers}, "numbers").glob("*.db3"))
-    stream, notes = read_stream(str(killed(file, tmp_path / "left", in_file=5)), "n")
-    assert stream.columns["data"].tolist() == list(range(40))
-    assert "bag_0.db3-wal" in notes[0]
 
 
 @pytest.mark.parametrize(("share", "cut"), [(0.3, False), (0.7, True)])
@@ -222,15 +210,6 @@ def test_odd_numbers_of_files(tmp_path: Path) -> None:
     assert "not all parts of one bag" in refusal(folder)
 
 
-def test_a_folder_of_other_files_asks_which(tmp_path: Path) -> None:
-    """Assert that files with names of their own are not taken for one bag."""
-    types = Types("mcap")
-    for name in ("left", "right"):
-        write_mcap(tmp_path / f"{name}.mcap", types, {"/e": messages(types)})
-    words = refusal(tmp_path)
-    assert "not all parts of one bag" in words and "left.mcap, right.mcap" in words
-
-
 @pytest.mark.parametrize("count", [40, 41, 7])
 def test_metadata_that_say_another_count_are_noted(tmp_path: Path, count: int) -> None:
     """Assert that all messages come whatever the metadata say, and that a note tells of the difference."""
@@ -252,11 +231,11 @@ def test_packed_files_are_read(write: Write, bag: str) -> None:
     """Assert that a file that was packed as a whole is read, with its twin that was not removed, or refused if cut."""
     types = Types(bag)
     events = drawn(60_000)
-    folder = write(bag, types, {"/e": packets(types, events)}, "plain")
+    folder = write(bag, types, {"/e": packets(types, events, 500)}, "plain")
     (plain,) = folder.glob(f"*.{bag}")
     (folder / "metadata.yaml").unlink()
     if bag == "mcap":
-        write_mcap(plain, types, {"/e": packets(types, events)}, chunk_size=20_000)
+        write_mcap(plain, types, {"/e": packets(types, events, 500)}, chunk_size=20_000)
     packed = plain.with_name(f"{plain.name}.zstd")
     packed.write_bytes(zstd_module().compress(plain.read_bytes()))
     assert read_events(folder).size == events.size  # the recorder was killed before it removed the file
@@ -264,16 +243,6 @@ def test_packed_files_are_read(write: Write, bag: str) -> None:
     assert read_events(folder).size == events.size
     packed.write_bytes(packed.read_bytes()[: packed.stat().st_size * 7 // 10])
     assert "the compressed file is cut short" in refusal(folder)
-
-
-def packets(types: Types, events: Events, size: int = 500) -> list[Any]:
-    """Events in packets of so many."""
-    made = []
-    for number, first in enumerate(range(0, events.size, size)):
-        part = events.part(first, first + size)
-        base_ns = 1000 * int(part.t[0])
-        made.append(types.packet(mono(part, base_ns), "mono", number, base_ns))
-    return made
 
 
 def test_no_copy_is_left(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

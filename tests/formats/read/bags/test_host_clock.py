@@ -81,8 +81,10 @@ def errors_us(imported: Imported, wanted_us: Any) -> Any:
     return stream.t_us + imported.t_offset_us - np.asarray(wanted_us)[numbers]
 
 
-@pytest.mark.parametrize("bag", ["ros1", "db3", "mcap"])
-@pytest.mark.parametrize("encoding", ["mono", "libcaer", "libcaer_cmp", "evt2", "evt3"])
+@pytest.mark.parametrize(
+    ("bag", "encoding"),
+    [("ros1", "mono"), ("db3", "libcaer"), ("mcap", "libcaer_cmp"), ("ros1", "evt2"), ("db3", "evt3")],
+)
 def test_imu_samples_of_the_host_land_in_the_recording(write: Write, bag: str, encoding: str) -> None:
     """Assert that every sample comes, off by no more than the usual latency of packets, and that it is said."""
     types = Types(bag)

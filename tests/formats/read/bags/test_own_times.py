@@ -256,19 +256,3 @@ def test_a_simulation_begins_at_0(write: Write) -> None:
     made = [joints(types, us, ["a"], [us], []) for us in (0, 10_000, 20_000)]
     stream, notes = stream_of(write("db3", types, {"/topic": made}))
     assert stream.t_us.tolist() == [0, 10_000, 20_000] and notes == []
-
-
-@pytest.mark.parametrize("stamped", [True, False])
-def test_streams_if_the_recorders_clock_goes_back(write: Write, stamped: bool) -> None:
-    """Assert that stamps are used if there are any, and times of reception otherwise, each with a word."""
-    types = Types("db3")
-    own_us = [START_US + at * EVERY_US for at in range(MESSAGES)]
-    made = [joints(types, us if stamped else 0, ["a"], [at], []) for at, us in enumerate(own_us)]
-    stream, notes = stream_of(write("db3", types, {"/topic": made}, times_us=STEPPED_US))
-    if stamped:
-        assert stream.t_us.tolist() == own_us
-        assert notes == []
-    else:
-        assert stream.t_us.tolist() == sorted(STEPPED_US)
-        assert "the recorder received" in stream.clock
-        assert notes == ["19 samples came late, by up to 0.19 s: sorted by time"]

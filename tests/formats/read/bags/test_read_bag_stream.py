@@ -5,10 +5,9 @@ from typing import Any
 import pytest
 
 from evetac_cli.formats.imports import read_events
-from tests.formats.read.bags.bag_writing import BAGS, START_S, Types, Write, drawn, mono
+from tests.formats.read.bags.bag_writing import BAGS, Types, Write, drawn, mono
 
 EVENTS = drawn(300)
-ZERO_US = START_S * 10**6
 TRIGGER = "int8 type\n{time} timestamp\nint8 TRIGGER_TYPE_TIMESTAMP_RESET=0\n"
 
 
@@ -32,12 +31,3 @@ def test_triggers_of_inivations_driver_are_kept(write: Write, bag: str, package:
     assert stream.columns["source"].tolist() == [1, 2, 3]
     assert imported.left_out == {}
     assert "1 to 3: external signal rises" in stream.what
-
-
-def test_triggers_that_are_damaged_are_counted(write: Write) -> None:
-    """Assert that messages that hold no triggers stay among what was left out."""
-    types = Types("db3", **{"dv_ros_msgs/msg/Trigger": "int8 type\n"})
-    odd = [types.make("dv_ros_msgs/msg/Trigger", 1)]
-    imported = read_events(write("db3", types, {"/e": events(types), "/t": odd}))
-    assert imported.streams == []
-    assert imported.left_out == {"messages on /t (dv_ros_msgs/msg/Trigger)": 1}

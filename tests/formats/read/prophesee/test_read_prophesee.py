@@ -145,18 +145,6 @@ def test_triggers_are_kept(tmp_path: Path) -> None:
         assert columns == {"id": [3, 3], "edge": [1, 0]}
 
 
-def test_csv_of_faery_is_read(tmp_path: Path) -> None:
-    """Assert that the CSV of another library gives its events: names in its first line, times in microseconds."""
-    events = drawn(3000)
-    array = np.zeros(events.size, faery.EVENTS_DTYPE)
-    for column, name in zip(events, ("t", "x", "y", "on"), strict=True):
-        array[name] = column
-    events_to_file([array], tmp_path / "a.csv", FRAME)
-    imported = read_events(tmp_path / "a.csv")
-    assert_equal(imported, events)
-    assert imported.frame_px == FRAME
-
-
 @pytest.mark.parametrize(("kind", "suffix"), [("EVT2", "raw"), ("EVT3", "raw"), ("DAT", "dat")])
 def test_as_expelliarmus_reads_them(tmp_path: Path, kind: str, suffix: str) -> None:
     """Assert equal events with another library on one file.
