@@ -19,7 +19,7 @@ READY := $(VENV)/.ready
 ALL := $(VENV)/.ready-to-develop
 # Extras for the commands of README and the first hour; setup-all installs the others.
 USED := plot,convert
-EVERY := camera,cluster,convert,log,plot,robot,view,dev,docs
+EVERY := camera,cluster,convert,plot,robot,view,dev,docs
 # Additional pip index or folder, for torch without CUDA: https://download.pytorch.org/whl/cpu
 TORCH_INDEX ?=
 # UV=1 installs with uv, in half the time. Of the settings of pip, uv gets PIP_INDEX_URL and PIP_FIND_LINKS alone.
@@ -139,7 +139,7 @@ test-lowest: $(LOWEST)/.ready  ## run the test suite with the lowest versions th
 $(LOWEST)/.ready: pyproject.toml scripts/lowest.py
 	$(PYTHON) -m venv --clear $(LOWEST)
 	$(LOWEST)/bin/python scripts/lowest.py > $(LOWEST)/lowest.txt
-	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check --constraint $(LOWEST)/lowest.txt --editable '.[camera,cluster,convert,log,plot,robot,dev]'
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check --constraint $(LOWEST)/lowest.txt --editable '.[camera,cluster,convert,plot,robot,dev]'
 	@touch $@
 
 lerobot:  ## make environments with LeRobot 0.6.1 (LEROBOT_PYTHON) and 0.4.4 for slow tests (gigabytes)

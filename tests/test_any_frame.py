@@ -103,7 +103,7 @@ def test_larger_frames_and_more_dots_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "dots.json"
     whole = np.stack(np.meshgrid(20.0 * np.arange(1, 18), 20.0 * np.arange(1, 17)), axis=-1)
     for frame_px, dots, limit in (
-        ((grid.MOST_FRAME_PX + 1, 480), whole[:4], f"to {grid.MOST_FRAME_PX}, the limit of the tracker"),
+        ((grid.MOST_FRAME_PX + 1, 480), whole[:4], f"<= {grid.MOST_FRAME_PX}"),
         ((640, 480), whole, f"272 dots, more than {grid.MOST_DOTS}, the limit of the tracker"),
         ((640, 480), whole.reshape(1, -1, 2), f"more than {grid.MOST_DOTS}, the limit of the tracker"),
     ):

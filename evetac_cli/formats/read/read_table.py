@@ -132,12 +132,19 @@ def _never_set(batches: Iterator[Any]) -> bool:
 
 def _floats(column: Any) -> NDArray[np.float64]:
     """Return an Arrow array of numbers or booleans as floats, NaN where it has nulls."""
-    return np.asarray(column.cast("float64", safe=False).to_numpy(zero_copy_only=False))
+    floats = np.full(len(column), np.nan)
+    floats[_is_known(column)] = _numpy(column.drop_null().cast("float64", safe=False))
+    return floats
 
 
 def _is_known(column: Any) -> NDArray[np.bool_]:
     """Return a mask (rows,) of the rows of an Arrow array that are not null."""
-    return np.asarray(column.is_valid().to_numpy(zero_copy_only=False))
+    return _numpy(column.is_valid().cast("uint8")).view(np.bool_)
+
+
+def _numpy(column: Any) -> NDArray[Any]:
+    """Return an Arrow array of numbers without nulls as an array; pyarrow's `to_numpy` would import pandas."""
+    return np.from_dlpack(column)
 
 
 def _is_number(kind: Any) -> bool:
@@ -234,13 +241,13 @@ class _Rows:
             self._unit, self.clock = kind.unit, f"{self._times.clock}, whose type states its unit"
             columns = [columns[0].view(f"int{kind.bit_width}")]
         if len(columns) > 1:
-            seconds, nanoseconds = (column.cast("int64").to_numpy(zero_copy_only=False) for column in columns)
+            seconds, nanoseconds = (_numpy(column.cast("int64")) for column in columns)
             self._refuse("impossible time", (seconds < -MOST_S) | (seconds > MOST_S), seconds)
             self._refuse(
                 "nanoseconds outside 0 to 999,999,999", (nanoseconds < 0) | (nanoseconds >= 10**9), nanoseconds
             )
             return np.asarray(seconds * 10**6 + nanoseconds // 1000)
-        values = columns[0].to_numpy(zero_copy_only=False)
+        values = _numpy(columns[0])
         if values.dtype.kind == "f":
             self._refuse("the time is not a number", ~np.isfinite(values), values)
         if not self._unit and len(values):

@@ -27,7 +27,6 @@ def test_extremes_are_measured_or_refused(name, preset):
         (row,) = rows
         assert row["ok"]
         assert row["outcome"].startswith("refused: ")
-        assert "; choose a smaller" in row["outcome"]
         return
     assert [row["quantity"] for row in rows] == DISTANCES
     assert np.isfinite([row["value"] for row in rows]).all()

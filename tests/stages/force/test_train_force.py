@@ -145,7 +145,7 @@ def test_what_a_model_of_the_paper_is_for(fits: Path, tmp_path: Path) -> None:
     tracks = [fits / "trial3.tracks.h5"]
     refused(predict_touch, tracks, PredictTouch(model=model), "of the paper's method", tmp_path)
     for flags in ({"adapt_on": str(fits / "trial1.tracks.h5")}, {"identified": str(fits)}):
-        refused(evaluate_force, tracks, EvaluateForce(model=str(model), **flags), "works only for the sensor", tmp_path)
+        refused(evaluate_force, tracks, EvaluateForce(model=str(model), **flags), "is for touch maps alone", tmp_path)
 
 
 def refused(stage: Any, files: list[Path], chosen: Any, message: str, tmp_path: Path) -> None:
@@ -187,7 +187,7 @@ def test_sensors_are_kept_apart(fits: Path, tmp_path: Path) -> None:
         tmp_path / "other.force-model.h5",
     )
     (tmp_path / "events.force-model.h5").write_bytes((fits / "events.force-model.h5").read_bytes())
-    refused(evaluate_force, [events], EvaluateForce(model=str(tmp_path)), "two models", tmp_path)
+    refused(evaluate_force, [events], EvaluateForce(model=str(tmp_path)), "two different models", tmp_path)
 
 
 def test_trackers_are_kept_apart(fits: Path, tmp_path: Path) -> None:

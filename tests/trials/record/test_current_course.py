@@ -11,7 +11,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.held import GripperCurrent, SquareWave
 from evetac_cli.trials import record
-from evetac_cli.trials.record.current_ramp import COMMAND_MS, Hold, start, step
+from evetac_cli.trials.record.current_ramp import COMMAND_MS, Hold, HoldState, step
 
 
 def test_a_line_with_a_square_wave() -> None:
@@ -40,7 +40,7 @@ def test_a_device_follows_it() -> None:
     """Assert that commands follow the course whatever is read, and end with it."""
     course = GripperCurrent(at_s=(0.0, 0.1), ma=(0.0, 50.0))
     hold = Hold(10, 50.0, 1.0, -50.0, course)
-    state, rng = start(hold), np.random.default_rng(0)
+    state, rng = HoldState(), np.random.default_rng(0)
     given = []
     while not state.ended:
         given.append(step(state, hold, GripperReading(0.0, 100), rng))
