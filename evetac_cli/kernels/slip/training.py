@@ -144,9 +144,9 @@ def train(
     """Train one network with binary cross entropy (paper, Model Training & Data Selection).
 
     epochs: None uses the preset's. Checkpoints are taken every `preset.checkpoint_every` epochs and at the end. If
-    `max_steps` cuts the run, the same number is spread evenly over its steps, and the result's `cut` is True.
-    on_progress: called with (step, steps) every 10 steps. on_save: called every 50 steps, with a function that returns
-    the run's state. The result depends on the generator's state alone, on one kind of machine and number of torch
+    `max_steps` cuts the run, the same number is spread evenly over its steps, and the result's `cut` is True. Every 10
+    steps, `on_progress` is called with (step, steps); every 50 steps, `on_save` with a function that returns the run's
+    state. The result depends on the generator's state alone, on one kind of machine and number of torch
     threads, which the caller sets.
 
     With samples in groups, the first group determines the normalisation, and an epoch goes through all groups. `start`:

@@ -202,10 +202,10 @@ class Scene(Table):
 
     #: name of the scene in recordings
     name: Annotated[str, Meta(max_length=100, pattern="^[a-z][a-z0-9-]*$")]
-    #: ramp: a gripper in current mode already holds the object at the start. lift: a gripper in position mode starts
-    #: open, grasps an object on a table and lifts it. hold: the gripper starts open and closes; the object is pushed,
-    #: then slips as the grip loosens. press: a flat face is driven over the gel. rub: a hand rubs an object with
-    #: visible edges over the gel. tone: a speaker vibrates the gel, linear response
+    #: In a ramp, a gripper in current mode already holds the object at the start. In a lift, a gripper in position mode
+    #: starts open, grasps an object on a table and lifts it. In a hold, the gripper starts open and closes; the object
+    #: is pushed, then slips as the grip loosens. In a press, a flat face is driven over the gel. In a rub, a hand rubs
+    #: an object with visible edges over the gel. In a tone, a speaker vibrates the gel (linear response)
     kind: Kind
     #: one-line description of the scene
     summary: Annotated[str, Meta(max_length=1000)]
