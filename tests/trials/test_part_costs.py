@@ -14,11 +14,10 @@ from typer.testing import CliRunner
 from evetac_cli.cli.main import app
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.record import Record
-from evetac_cli.jobs import Outcome
 from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.trials import grasp, part_costs, record
-from evetac_cli.trials.part_costs import BLOCK, Append, CallTimer, for_people, measure
+from evetac_cli.trials.part_costs import WARMING_SLICES, Append, CallTimer, measure
 from evetac_cli.trials.record import simulated
 from evetac_cli.trials.trial import SimulatedTrial
 
@@ -69,11 +68,11 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> Iterator[SlowedClock]:
 def test_costs_are_those_of_the_clock(texture: str, machine: SlowedClock) -> None:
     """Assert what each part costs or saves, whatever else the machine does in every second run."""
     (trial,) = record.jobs([], Record(texture=texture), None)
-    costs = measure(trial, machine.play, 4)
+    costs = measure(trial, machine.play)
+    assert costs is not None
     shown = texture == "on"
     in_camera = DOTS_US + WINDOW_US * shown + NOISE_US + HOT_US + CUT_US
-    assert costs.slices % BLOCK == 0
-    assert costs.whole.mean() == pytest.approx(GEL_US + LAW_US + in_camera + OTHER_US)
+    assert costs.whole_us == pytest.approx(GEL_US + LAW_US + in_camera + OTHER_US)
     rows = {row["part"]: row for row in costs.rows()}
     expected = {"gel and friction": GEL_US + LAW_US, "friction over pressure": LAW_US, "camera": in_camera}
     expected |= {"dots": DOTS_US, "noise": NOISE_US, "hot pixels": HOT_US, "cut edge": CUT_US}
@@ -85,16 +84,18 @@ def test_costs_are_those_of_the_clock(texture: str, machine: SlowedClock) -> Non
 
 
 @pytest.mark.parametrize("budget_s", [0.5, 0.1, 1e-6])
-def test_a_budget_is_kept(budget_s: float, machine: SlowedClock) -> None:
-    """Assert fewer slices, then fewer repeats within a budget of time, and the same costs."""
+def test_a_budget_is_kept(budget_s: float, machine: SlowedClock, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert fewer slices within a budget of time, and the same costs."""
+    monkeypatch.setattr(part_costs, "BUDGET_S", budget_s)
     (trial,) = record.jobs([], Record(), None)
     machine.slowed_us = 0.0
-    costs = measure(trial, machine.play, 50, budget_s=budget_s)
-    block_s = BLOCK * (GEL_US + LAW_US + DOTS_US + WINDOW_US + NOISE_US + HOT_US + CUT_US + OTHER_US) * 1e-6
+    costs = measure(trial, machine.play)
+    slice_us = GEL_US + LAW_US + DOTS_US + WINDOW_US + NOISE_US + HOT_US + CUT_US + OTHER_US
     share_s = budget_s / (1 + RUNS)  # of one run to try, and those to measure
-    assert costs.slices == BLOCK * max(1, 1 + int(share_s / block_s))
-    assert costs.whole.sum() * BLOCK * 1e-6 == pytest.approx(block_s * costs.slices / BLOCK)
-    assert machine.now_s < RUNS * 2 * block_s + 2 * (share_s + block_s) + max(budget_s, RUNS * block_s)
+    assert costs is not None and costs.whole_us == pytest.approx(slice_us)
+    assert costs.slices == 1 + int(share_s / (slice_us * 1e-6))
+    warming_s = RUNS * (WARMING_SLICES + 1) * slice_us * 1e-6
+    assert machine.now_s < warming_s + 3 * share_s + budget_s + 3 * RUNS * slice_us * 1e-6
 
 
 @pytest.mark.parametrize("scene", ["slip", "edge", "vibration"])
@@ -117,50 +118,15 @@ def test_a_timer_changes_nothing(scene: str) -> None:
 @pytest.mark.slow
 def test_a_dry_run_of_a_scene(stage: Any, params: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that calls and the rest make up the whole of a dry run, and that it says what its scene saves."""
-    monkeypatch.setattr(part_costs, "_moving_slices", lambda *_: 2 * BLOCK)
+    monkeypatch.setattr(part_costs, "_moving_slices", lambda _: 100)
     shown = stage.dry_run(stage.jobs([], params, None), params, force=True)
     rows = {row["part"]: row for row in shown.rows}
     calls = ("gel and friction", "gripper", "camera", "everything else", *(["slip detector"] if stage is grasp else []))
     assert all(rows[part]["time_us"] > 0.0 for part in calls if part != "everything else")
     assert sum(rows[part]["time_us"] for part in calls) == pytest.approx(shown.summary["time_us_a_slice"])
     assert (rows["window"]["saves_us"] is not None) == (stage is grasp)
-    assert shown.summary["slices_measured"] in (BLOCK, BLOCK * 2)  # fewer where the machine is very slow
+    assert shown.summary["slices_measured"] <= 100  # fewer where the machine is very slow
     assert shown.summary["left_out_saves_us"] == pytest.approx(rows["window"]["saves_us"] or 0.0)
-
-
-@pytest.mark.parametrize("slowed_us", [0.0, 50.0, 400.0])
-def test_a_difference_within_the_noise_is_not_a_figure(slowed_us: float, machine: SlowedClock) -> None:
-    """Assert that a cost is shown as a figure only where it is larger than what the machine makes by itself.
-
-    The clock is slowed in the last run, so that the part which is switched in it drowns, but not the largest.
-    """
-    (trial,) = record.jobs([], Record(), None)
-    machine.slowed_us = slowed_us
-    machine.runs = RUNS  # of those to measure, all but the last are left alone
-    costs = measure(trial, machine.play, 1)
-    rows = {row["part"]: row for row in costs.rows()}
-    shown = {row["part"]: row["time_us"] for row in for_people(Outcome(list(rows.values()), True, SUMMARY))[0]}
-    for part, us in (
-        ("window", WINDOW_US),
-        ("cut edge", CUT_US),
-        ("noise", NOISE_US),
-        ("hot pixels", HOT_US),
-        ("friction over pressure", LAW_US),
-        ("dots", DOTS_US),
-    ):
-        noise_us = rows[part]["noise_us"]
-        assert noise_us >= -rows[part]["time_us"]
-        if shown[part].startswith("< "):
-            assert rows[part]["time_us"] <= noise_us
-            assert us <= 2.0 * noise_us + slowed_us / 10
-        else:
-            assert float(shown[part]) == pytest.approx(rows[part]["time_us"], rel=0.01)
-            assert float(shown[part]) > 0.0
-    assert (slowed_us == 0.0) == all(not text.startswith("<") for text in shown.values() if text)
-
-
-SUMMARY = {"files": 3, "first_file": "a.recording.h5", "slices_measured": 1400, "time_us_a_slice": 200.0}
-SUMMARY["times_real_time"] = 5.0
 
 
 @pytest.mark.slow
@@ -176,7 +142,7 @@ def test_a_dry_run_fits_a_screen(words: list[str], machine: SlowedClock, monkeyp
     assert len(lines) <= 40
     assert max(len(line) for line in run[0].stdout.splitlines() if line.startswith("│")) <= 80
     rows = json.loads(run[2].stdout)["rows"]
-    assert {"part", "built", "left_out", "time_us", "saves_us", "noise_us"} == set(rows[0])
+    assert {"part", "built", "left_out", "time_us", "saves_us"} == set(rows[0])
     for row in rows:
         assert (row["part"] in run[0].stdout) or row["built"] is None
         assert row["part"] in run[1].stdout
