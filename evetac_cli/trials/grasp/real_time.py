@@ -41,8 +41,7 @@ from evetac_cli.trials.grasp.controller_process import ControllerSettings
 from evetac_cli.trials.grasp.detector_process import DetectorSettings
 from evetac_cli.trials.grasp.grasp_processes import GraspProcesses
 from evetac_cli.trials.grasp.loop import Timing
-from evetac_cli.trials.grasp.real_time_row import result_of
-from evetac_cli.trials.grasp.recorded_grasp import RecordedGrasp
+from evetac_cli.trials.grasp.recorded_grasp import RecordedGrasp, result_of
 from evetac_cli.trials.grasp.recorder import PRIORITY as WATCHING_PRIORITY
 from evetac_cli.trials.grasp.recorder import record
 from evetac_cli.trials.grasp.settings import DeviceGrasp, GraspSettings, ReplayGrasp

@@ -114,24 +114,6 @@ def test_no_event_is_lost(firmware: int, slices: int) -> None:
     assert device.overflowed == 0
 
 
-def test_it_is_a_camera_and_a_clock() -> None:
-    """Assert that its clock runs with that of its words, that it is closed twice, and that nothing comes after it."""
-    source = patient_words(few(1.0))
-    camera: EventCamera = DvxplorerCamera(backend=VirtualDvxplorer(source))
-    read(camera, 50)
-    times = [(source.time.now_s(), camera.now_us(), source.time.now_s())]
-    for _ in range(100):
-        camera.read()
-    times.append((source.time.now_s(), camera.now_us(), source.time.now_s()))
-    (first_s, begun_us, last_s), (next_s, ended_us, end_s) = times
-    assert begun_us >= 50 * SLICE_US
-    better_us = 5e3  # the estimate of the clocks' offset gets better meanwhile
-    assert 1e6 * (next_s - last_s) - better_us <= ended_us - begun_us <= 1e6 * (end_s - first_s) + better_us
-    camera.close()
-    camera.close()
-    assert camera.read() is None
-
-
 def test_host_time_of_a_slice() -> None:
     """Assert that no slice is handed out before it is over by the host's clock, as host_us tells it."""
     source = patient_words(few(0.4))

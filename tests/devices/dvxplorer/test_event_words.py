@@ -180,13 +180,6 @@ def test_nothing_is_lost_that_frames_cannot_hold(seed: int, frame_us: int) -> No
     assert lost(decoder) == {}
 
 
-def test_times_are_rounded_to_the_readout() -> None:
-    """Assert that times go down to the frame, anew in every millisecond."""
-    t = np.array([0, 299, 300, 999, 1000, 1650], np.int64)
-    events = Events(t, np.arange(6, dtype=np.uint16), np.zeros(6, np.uint16), np.ones(6, np.uint8))
-    assert whole(event_words.encode(events, 0, 300))[0].t.tolist() == [0, 0, 300, 900, 1000, 1600]
-
-
 def test_encode_refuses_what_no_camera_sends() -> None:
     """Assert a ValueError with what was expected and found, and no words for no events."""
     one = Events(np.array([5]), *(np.array([0], kind) for kind in (np.uint16, np.uint16, np.uint8)))
@@ -218,12 +211,6 @@ def test_milliseconds_wrap() -> None:
     expected = [first + d + turn * 2**22 for turn in range(3) for d in (0, 1, 2, 3, 0x200002)]
     assert [row[0] for row in events] == [1000 * ms + 10 for ms in expected]
     assert missing == {"ms_without_time": expected[-1] - expected[0] - 9}
-
-
-def test_repeated_timestamp_is_no_wrap() -> None:
-    """Assert that a TIMESTAMP said twice changes nothing."""
-    words = [stamp(9), column(1, 5, True), group(0, 1), stamp(9), column(2, 6, True), group(0, 1)]
-    assert decoded(words) == ([(9005, 1, 0, 1), (9006, 2, 0, 1)], {})
 
 
 GOOD = [stamp(3), column(5, 100, True), group(1, 1)]  # frame before the damage

@@ -190,34 +190,6 @@ def test_overflow_loses_the_oldest() -> None:
     assert camera.overflowed + len(left) == len(words)
 
 
-def test_unplugged() -> None:
-    """Assert that nothing answers, that the bus is empty, and that a waiting read ends."""
-    camera = VirtualDvxplorer(patient_words(prepared(0.01)), faults=("unplug@0.05",))
-    device = plugged(camera)
-    run(device)
-    with pytest.raises(usb.core.USBError) as error:
-        while True:
-            list(transfers(device, timeout_ms=5000))
-    assert error.value.errno == errno.ENODEV
-    assert usb.core.find(idVendor=0x152A, backend=camera) is None
-    with pytest.raises(usb.core.USBError, match="No such device"):
-        read(device, 1, 0)
-
-
-def test_stall_ends_by_clearing() -> None:
-    """Assert that a halted endpoint refuses until it is cleared, once."""
-    words = prepared(0.1)
-    device = plugged(VirtualDvxplorer(PreparedWords(words, paced=False), faults=("stall@0",)))
-    run(device)
-    for _ in range(2):
-        with pytest.raises(usb.core.USBError) as error:
-            device.read(0x82, 64, 10)
-        assert error.value.errno == errno.EPIPE
-    device.clear_halt(0x82)
-    data = b"".join(transfers(device))
-    assert [word for word in np.frombuffer(data, "<u4") if word] == words.tolist()
-
-
 def test_odd_transfers_cut_words_but_lose_none(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert odd lengths, and the same bytes in all."""
     words = prepared(0.1)
@@ -226,20 +198,6 @@ def test_odd_transfers_cut_words_but_lose_none(monkeypatch: pytest.MonkeyPatch) 
     parts = list(transfers(device))
     assert sum(len(part) % 2 for part in parts) > 0.5 * len(parts)
     assert same(decoded(b"".join(parts))[0], decoded(words.tobytes())[0])
-
-
-def test_log_packet_and_silence(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert the document's log packet on the debug endpoint, once, and a stream with a hole."""
-    words = prepared(0.2)
-    device = plugged(VirtualDvxplorer(SteppedWords(words, monkeypatch), faults=("log@0", "silence@0.05:0.05")))
-    run(device)
-    packet = bytes(device.read(0x81, 64, 10))
-    assert packet.startswith(bytes.fromhex("000740e20100")) and packet.endswith(b"sensor fault\0")
-    with pytest.raises(usb.core.USBTimeoutError):
-        device.read(0x81, 64, 1)
-    events, _ = decoded(b"".join(transfers(device, timeout_ms=150)))
-    share = events.size / decoded(words.tobytes())[0].size
-    assert share == pytest.approx(0.75, abs=0.03)
 
 
 # The sources of words.
@@ -294,17 +252,3 @@ def test_words_that_are_sent_again_and_again(most: int) -> None:
         assert due[(len(data) - 1) // 4] <= 1e6 * (source.time.now_s() - began)
     assert np.frombuffer(data, "<u4").tolist() == expected.tolist()
     assert source.take(most, 0.01) == b""
-
-
-@given(st.floats(5e3, 2e6), st.integers(5, 100))
-@settings(max_examples=20, deadline=None)
-def test_rain_has_as_many_events_as_asked(events_per_s: float, frames: int) -> None:
-    """Assert the same number in every frame, no pixel twice in one, and nothing that the decoder drops."""
-    words = random_event_words(events_per_s, frames / 5000, np.random.default_rng(1))
-    events, missing = decoded(words.tobytes())
-    each = round(events_per_s * 200e-6)
-    assert events.size == each * frames
-    assert missing == {}
-    assert set(np.unique(events.t, return_counts=True)[1].tolist()) <= {each}
-    keys = (events.t << 20) | (events.x.astype(np.int64) << 10) | events.y
-    assert len(np.unique(keys)) == events.size

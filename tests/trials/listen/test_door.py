@@ -195,14 +195,3 @@ def test_what_is_not_ours_stays(kind: str, door: Door, tmp_path: Path) -> None:
     assert os.path.samestat(before, path.lstat())
     assert other.read_text() == f"127.0.0.1 1 {'a' * 32}\n"
     assert sorted(tmp_path.iterdir()) == [path, other]
-
-
-def test_a_file_in_its_place_is_not_taken_away(door: Door, tmp_path: Path) -> None:
-    """Assert that what another put there meanwhile stays at the end, and a missing folder is an error in words."""
-    path = tmp_path / "evetac.listen"
-    with address_file(path, door):
-        path.unlink()
-        path.write_text("another's\n")
-    assert path.read_text() == "another's\n"
-    with pytest.raises(InputError, match="cannot be written"), address_file(tmp_path / "none" / "a", door):
-        pass

@@ -16,9 +16,8 @@ from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials.grasp.online_detector import open_view_detector
-from evetac_cli.trials.live_view.samples import MOST_BEHIND, MOST_COUNT, SHOWN_MS, Follower
+from evetac_cli.trials.live_view.samples import MOST_BEHIND, MOST_COUNT, SHOWN_MS, Follower, LiveTouch
 from evetac_cli.trials.live_view.shared_view import GripperNumbers, SharedView
-from evetac_cli.trials.live_view.touch import LiveTouch
 from tests.conftest import Made
 
 SLICES = 200

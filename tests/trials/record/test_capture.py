@@ -236,21 +236,6 @@ def test_failing_end_keeps_the_segments(
     assert repair.run([tmp_path]).rows[0]["slices_kept"] == 100
 
 
-def test_existing_recording_is_not_replaced(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
-    """Assert that a recording from a device is replaced only by force."""
-    rig_is(Camera())
-    path, _ = recording(tmp_path, seconds=0.05)
-    before = path.read_bytes()
-    with pytest.raises(InputError, match="cannot be repeated"):
-        recording(tmp_path, seconds=0.05)
-    assert path.read_bytes() == before
-    params = Record(camera="dvxplorer", expected_event_rate=1e4, seconds=0.07)
-    (job,) = record.jobs([], params, tmp_path)
-    record.run(job, params, force=True)
-    with open_recording(path) as file:
-        assert len(file) == 70
-
-
 def test_calibration_is_stored(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
     """Assert that --calibration gives a recording its dots, as part of its set-up; another frame is refused."""
     dots = [[[100.0 + 60 * column, 100.0 + 60 * row] for column in range(4)] for row in range(3)]
@@ -463,31 +448,6 @@ def test_virtual_devices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     repeated = 2 * lost["capture/lost/gripper.answers_lost"]
     assert rows <= counts[1] - counts[0] <= rows + 3 + repeated  # and once goal current, watchdog and torque
     assert written[0] == 10
-
-
-@pytest.mark.parametrize("fault", ["overload@1.2", "unplug@1.2"])
-@pytest.mark.slow
-def test_gripper_fault(fault: str, tmp_path: Path) -> None:
-    """Assert that a gripper that fails ends the recording with its error, and what was recorded is valid."""
-    params = Record(camera="virtual:prepared=1e4", gripper=f"virtual:{fault}", seconds=30.0, expected_event_rate=1e3)
-    (job,) = record.jobs([], params, tmp_path)
-    with pytest.raises(DeviceError):
-        record.run(job, params)
-    if job.output.exists():  # a slow computer may not have come to the first slice
-        assert faults(job.output) is None
-        with open_recording(job.output) as file:
-            assert "gripper" in file.read("capture/ended")
-
-
-@pytest.mark.parametrize("fault", ["unplug@0.3", "stall-for-good@0.3"])
-@pytest.mark.usefixtures("words_wait")
-def test_camera_fault(fault: str, tmp_path: Path) -> None:
-    """Assert that a camera that fails ends the recording with its error, and what was recorded is valid."""
-    params = Record(camera=f"virtual:prepared=1e4+{fault}", gripper="none", seconds=30.0, expected_event_rate=1e3)
-    (job,) = record.jobs([], params, tmp_path)
-    with pytest.raises(DeviceError, match="slices in"):
-        record.run(job, params)
-    assert faults(job.output) is None
 
 
 def test_two_cameras_of_one_trial(made: Made, tmp_path: Path) -> None:
