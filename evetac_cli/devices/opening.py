@@ -4,7 +4,7 @@ All code that moves a gripper passes through here, or through `require_arm`, whi
 """
 
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,13 +19,6 @@ from evetac_cli.sim.setup.plan import Plan
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.gripper import VirtualGripper
     from evetac_cli.devices.virtual.world import VirtualWorld
-
-
-class Peers(NamedTuple):
-    """The processes behind virtual devices; None for real devices."""
-
-    world: "VirtualWorld | None"
-    servo: "VirtualGripper | None"
 
 
 def require_arm(gripper: NamedGripper, *, armed: bool, plan: str = "", hint: str = "") -> None:
@@ -50,8 +43,8 @@ def open_peers(
     armed: bool,
     tells_truth: bool,
     **durations: float,
-) -> Peers:
-    """Start the virtual world and the virtual servo that the names require; they are closed with `opened`.
+) -> tuple["VirtualWorld | None", "VirtualGripper | None"]:
+    """Start the virtual world and servo that the names require, None for real devices; they are closed with `opened`.
 
     plan: the setup that the world simulates, as in devices.simulated.rig; armed: whether a real gripper may be moved;
     tells_truth: whether the world sends its ground truth. The world's time waits for a busy machine, unless a real
@@ -68,7 +61,7 @@ def open_peers(
     servo = gripper.open_peer(world.plant if world is not None else None)
     if servo is not None:
         opened.callback(servo.close)
-    return Peers(world, servo)
+    return world, servo
 
 
 def open_rig(

@@ -168,7 +168,8 @@ def measure(trial: SomeTrial, play: Play[SomeTrial], progress: Progress = silent
 
     As many slices and repeats as fit into BUDGET_S. None if the trial has no slices to measure.
     """
-    runs = {None: trial, **{part: replace(trial, plan=plan) for part, plan in switched(trial.plan).items()}}
+    runs: dict[str | None, SomeTrial] = {None: trial}
+    runs |= {part: replace(trial, plan=plan) for part, plan in switched(trial.plan).items()}
     timer = CallTimer()
     for one in runs.values():
         _run(one, play, WARMING_SLICES, timer)  # compiles, or loads compiled code

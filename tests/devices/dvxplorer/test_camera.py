@@ -139,15 +139,6 @@ def test_time_waits_for_the_first_read() -> None:
         assert lost(camera) == {}
 
 
-def test_a_silent_sensor_has_slices() -> None:
-    """Assert empty slices at the host's pace from a camera that says nothing at all."""
-    with closing(DvxplorerCamera(backend=VirtualDvxplorer(Nothing()))) as camera:
-        began_s = time.monotonic()
-        assert read(camera, 200).size == 0
-        assert time.monotonic() - began_s > 0.15
-        assert lost(camera).keys() == {"ms_without_time"}
-
-
 def test_close_ends_a_read() -> None:
     """Assert that a read that waits in another thread ends with None when the camera is closed."""
     camera = DvxplorerCamera(backend=VirtualDvxplorer(Nothing()))

@@ -159,14 +159,6 @@ def test_m8_events_of_damaged_frames_are_counted_but_none_that_never_were() -> N
     assert 0.8 * lost <= missing["events_in_dropped_frames"] + missing["events_before_first_timestamp"] <= lost
 
 
-def test_m8_random_words_hold_no_events_to_count() -> None:
-    """Assert that of words that are all random hardly any is counted as lost events."""
-    decoder = event_words.start()
-    for data in random_words()[:50]:
-        event_words.step(decoder, data, 100)
-    assert sum(count for name, count in decoder.counted.items() if name.startswith("events")) < 0.02 * 50 * 16384
-
-
 @pytest.mark.parametrize("flood", ["padding", "frames of one time"])
 def test_h2_a_flood_without_time_does_not_stop_the_slices(flood: str) -> None:
     """Assert that slices go on by the host's clock though every read is full, and none brings a time."""

@@ -80,16 +80,6 @@ def test_silent_from_the_start() -> None:
     assert slices.host_us(98_000) <= 102e3
 
 
-def test_gap_drops_to_the_next_timestamp() -> None:
-    """Assert that after lost bytes the words up to the next TIMESTAMP are dropped and counted."""
-    slices = running()
-    slices.push_words(block([100]), 0.0, 100.0, emptied=True)
-    rest = np.frombuffer(block([1100, 1200, 2300], until_ms=3), "<u4")[1:].tobytes()  # without its first TIMESTAMP
-    closed = slices.push_words(rest, 0.0, 100.0, emptied=True, gap=True)
-    assert [part.t.tolist() for part in closed] == [[], [], [2300]]
-    assert slices.counted["events_in_dropped_frames"] == 3
-
-
 def test_offset_is_the_least_delay_of_the_window() -> None:
     """Assert that the estimate is the least of a window, follows drift, and forgets."""
     rng = np.random.default_rng(0)
@@ -122,7 +112,7 @@ def read_on(slices: WordSlices, first_ms: int, begin_ms: int, count: int) -> int
     return events
 
 
-@pytest.mark.parametrize("stalled_ms", [0, 50, 150, 400, 3000])
+@pytest.mark.parametrize("stalled_ms", [0, 150, 3000])
 @pytest.mark.parametrize("jump_ms", [5000, -5000, 100_000])
 def test_a_stalled_program_is_no_silent_camera(stalled_ms: int, jump_ms: int) -> None:
     """Assert that where a clock starts anew while the program is kept from running, no time without words is counted.
@@ -173,7 +163,7 @@ def test_times_that_are_refused_are_no_silence() -> None:
     assert slices.counted["ms_without_time"] == 0
 
 
-@pytest.mark.parametrize("silent_ms", [0, 90, 150, 400, 3000])
+@pytest.mark.parametrize("silent_ms", [0, 90, 3000])
 @pytest.mark.parametrize("jump_ms", [5000, -5000, 0])
 def test_a_silence_before_a_new_clock_is_counted(silent_ms: int, jump_ms: int) -> None:
     """Assert that reads that found nothing are time without words, whether or not the clock starts anew after them."""

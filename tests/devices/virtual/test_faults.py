@@ -9,6 +9,7 @@ import pytest
 from evetac_cli.devices.naming import CAMERA_FAULTS, GRIPPER_FAULTS, Fault, camera_fault, gripper_fault
 from evetac_cli.devices.virtual.gripper import LATE_S, Faults
 from evetac_cli.devices.virtual.servo import Answer
+from evetac_cli.errors import InputError
 from evetac_cli.resources import PACKAGE
 
 
@@ -33,6 +34,13 @@ NO_FAULT_OF = {
     "camera": [*NO_FAULTS, "busy@1", "damage%5", "silence@1:x", "silence@1:-1", "silence@1:", "watchdog"],
     "gripper": [*NO_FAULTS, "bad-crc%101", "bad-crc%0", "bad-crc%", "bad-crc@1:2", "overload@1:2", "stall"],
 }
+
+
+@pytest.mark.parametrize(("device", "text"), [(of, text) for of, texts in NO_FAULT_OF.items() for text in texts])
+def test_what_is_no_fault_is_refused(device: str, text: str) -> None:
+    """Assert an InputError that names the flag, whatever part of the text is wrong."""
+    with pytest.raises(InputError, match=f"--{device}"):
+        (camera_fault if device == "camera" else gripper_fault)(text)
 
 
 def test_how_long_a_fault_lasts() -> None:
