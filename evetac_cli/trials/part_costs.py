@@ -2,7 +2,8 @@
 
 Optional parts are measured with and without, alternately. Gel, gripper, camera and the slip detector of a grasp are
 measured by a timer of their calls, which is passed to the trial. The trial is the same every time, so the fastest run
-counts, which leaves out other load on the machine. Only the time of this thread counts, without writing the file.
+of each stretch counts, which leaves out other load on the machine. Only the time of this thread counts, without writing
+the file.
 """
 
 import math
@@ -25,9 +26,9 @@ from evetac_cli.trials.trial import SimulatedTrial
 REPEATS = 3  # most repeats
 BUDGET_S = 3.0  # total time of the runs; a slow scene is measured on fewer slices
 MOVING_S = 0.5  # measured duration of a trial once something moves
-WARMING_SLICES = 100
+BLOCK = 50  # slices that are timed together: the fastest run of each counts
 MOST_FILES = 5  # most files that a plan with devices lists on a terminal
-LEAST_US = 1.0  # a smaller difference is not shown as a figure
+SURE = 2.0  # a difference below this many standard errors of its mean over the blocks is noise
 
 Append = Callable[[Events, dict[str, Any]], None]
 SomeTrial = TypeVar("SomeTrial", bound=SimulatedTrial)
@@ -38,40 +39,42 @@ Play = Callable[[SomeTrial, Append, Timer], Any]  # runs the trial and passes on
 class PartCosts:
     """Microseconds per slice of a trial, each from the fastest of its runs.
 
-    parts: the parts of its plan; slices: how many were measured; whole_us: the trial as it is; timed_us: in the timed
-    calls; switched_us: the trial with one part toggled.
+    parts: the parts of its plan; whole_us: of each block, the trial as it is; timed_us: mean in the timed calls;
+    switched_us: of each block, the trial with one part toggled.
     """
 
     parts: list[dict[str, Any]]
-    slices: int
-    whole_us: float
+    whole_us: Floats
     timed_us: dict[str, float]
-    switched_us: dict[str, float]
+    switched_us: dict[str, Floats]
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the parts of the plan, with the cost of each built part or the saving of each omitted one.
 
         None if a part is not measured separately: it is then included in gel and friction, or cannot be switched. The
-        camera's time that its other parts do not explain is that of the dots. No part saves time by being built: a
-        difference below zero is the machine's fluctuation, and 0 here.
+        camera's time that its other parts do not explain is that of the dots. noise_us: what the machine's fluctuations
+        alone can make of a difference: its standard error, and all below zero, as no part saves time by being built.
         """
         rows = [dict(row) for row in self.parts]
         names = [row["part"] for row in rows]
-        costs, saved = dict(self.timed_us), {}
+        costs, saved, noise = dict(self.timed_us), dict[str, float](), dict[str, float]()
+        for row in rows:
+            part, shown = row["part"], costs if row["left_out"] is None else saved
+            if part in self.switched_us:
+                both = min(len(self.whole_us), len(self.switched_us[part]))
+                more_us = self.whole_us[:both] - self.switched_us[part][:both]
+                more_us = more_us if shown is costs else -more_us
+                shown[part] = float(more_us.mean())
+                error_us = float(more_us.std(ddof=1)) / math.sqrt(len(more_us)) if len(more_us) > 1 else shown[part]
+                noise[part] = max(-shown[part], SURE * error_us)
+        in_camera = [part for part in names[names.index("camera") + 1 :] if part in costs]
+        costs["dots"] = costs["camera"] - sum(costs[part] for part in in_camera)
+        noise["dots"] = max(-costs["dots"], math.hypot(*(noise.get(part, 0.0) for part in in_camera)))
         for row in rows:
             part = row["part"]
-            if part in self.switched_us:
-                more_us = self.whole_us - self.switched_us[part]
-                if row["left_out"] is None:
-                    costs[part] = max(0.0, more_us)
-                else:
-                    saved[part] = max(0.0, -more_us)
-        in_camera = names[names.index("camera") + 1 :]
-        costs["dots"] = max(0.0, costs["camera"] - sum(costs.get(part, 0.0) for part in in_camera))
-        for row in rows:
-            row["time_us"], row["saves_us"] = costs.get(row["part"]), saved.get(row["part"])
+            row["time_us"], row["saves_us"], row["noise_us"] = costs.get(part), saved.get(part), noise.get(part)
         beside = {part: us for part, us in self.timed_us.items() if part not in names}
-        beside["everything else"] = self.whole_us - sum(self.timed_us.values())
+        beside["everything else"] = float(self.whole_us.mean()) - sum(self.timed_us.values())
         for part, us in beside.items():
             rows.append(dict.fromkeys(rows[0]) | {"part": part, "built": BESIDE_SCENE[part], "time_us": us})
         return rows
@@ -92,10 +95,10 @@ def dry_run(trials: Sequence[SomeTrial], play: Play[SomeTrial], progress: Progre
         files["gel_grid"] = notes[0]
     if costs is None:  # the trial ended before anything could be measured
         return Outcome(rows_of(trials[0].plan), True, files, made=False)
-    rows, total_us = costs.rows(), costs.whole_us
+    rows, total_us = costs.rows(), float(costs.whole_us.mean())
     summary = {
         **files,
-        "slices_measured": costs.slices,
+        "slices_measured": BLOCK * len(costs.whole_us),
         "time_us_a_slice": total_us,
         "times_real_time": 1000.0 / total_us,
         "left_out_saves_us": sum(row["saves_us"] or 0.0 for row in rows),
@@ -114,12 +117,16 @@ def for_people(shown: Outcome) -> tuple[list[dict[str, Any]], list[str]]:
         more = [{"part": "files", "what": f"{len(files):,} in all", "detail": "-v lists them"}]
         return (rows if len(files) <= MOST_FILES else [row for row in rows if row not in files[MOST_FILES:]] + more), []
     built = [
-        {"part": row["part"], "built": row["built"], "time_us": _in_words(row["time_us"])}
+        {"part": row["part"], "built": row["built"], "time_us": _in_words(row["time_us"], row["noise_us"])}
         for row in rows
         if row["built"] is not None
     ]
     left_out = [row for row in rows if row["left_out"] is not None]
-    would_take = [f"{row['part']} {saved} us" for row in left_out if (saved := _in_words(row["saves_us"])) is not None]
+    would_take = [
+        f"{row['part']} {saved} us"
+        for row in left_out
+        if (saved := _in_words(row["saves_us"], row["noise_us"])) is not None
+    ]
     sentences = ["-: measured within another part; camera includes dots, window, edge and noise."]
     if left_out:
         sentences += [f"{len(left_out)} parts are left out: scene and sensor do not name them (-v: reasons)."]
@@ -137,11 +144,11 @@ def for_people(shown: Outcome) -> tuple[list[dict[str, Any]], list[str]]:
     return built, sentences
 
 
-def _in_words(us: float | None) -> str | None:
-    """Return the time of a part to three digits; "< 1" for less than a microsecond."""
+def _in_words(us: float | None, noise_us: float | None) -> str | None:
+    """Return the time of a part to three digits; "< x" for a difference within the machine's fluctuations."""
     if us is None:
         return None
-    return f"< {LEAST_US:g}" if us < LEAST_US else f"{us:.3g}"
+    return f"< {noise_us:.2g}" if noise_us is not None and us <= noise_us else f"{us:.3g}"
 
 
 class CallTimer:
@@ -172,10 +179,10 @@ def measure(trial: SomeTrial, play: Play[SomeTrial], progress: Progress = silent
     runs |= {part: replace(trial, plan=plan) for part, plan in switched(trial.plan).items()}
     timer = CallTimer()
     for one in runs.values():
-        _run(one, play, WARMING_SLICES, timer)  # compiles, or loads compiled code
+        _run(one, play, 2 * BLOCK, timer)  # compiles, or loads compiled code
     for _ in range(2):  # the first may compile what moves
-        slices, _us = _run(trial, play, _moving_slices(trial.plan.scene), timer, BUDGET_S / (1 + len(runs)))
-    if not slices:
+        blocks = len(_run(trial, play, _moving_slices(trial.plan.scene), timer, BUDGET_S / (1 + len(runs))))
+    if not blocks:
         return None
     fastest: dict[str | None, Floats] = {}
     started = thread_time()
@@ -184,12 +191,12 @@ def measure(trial: SomeTrial, play: Play[SomeTrial], progress: Progress = silent
             break
         for number, (part, one) in enumerate(runs.items()):
             progress(done * len(runs) + number, REPEATS * len(runs))
-            us = _run(one, play, slices, timer)[1]
+            us = _run(one, play, BLOCK * blocks, timer)
             fastest[part] = np.minimum(fastest.get(part, us), us)
-    whole_us, *timed_us = fastest[None].tolist()
-    timed = {part: us for part, us in zip(timer.seconds, timed_us, strict=True) if us}
-    switched_us = {part: float(us[0]) for part, us in fastest.items() if part is not None}
-    return PartCosts(rows_of(trial.plan), slices, whole_us, timed, switched_us)
+    in_calls = fastest[None].mean(axis=0)[1:].tolist()
+    timed_us = {part: us for part, us in zip(timer.seconds, in_calls, strict=True) if us}
+    switched_us = {part: us[:, 0] for part, us in fastest.items() if part is not None}
+    return PartCosts(rows_of(trial.plan), fastest[None][:, 0], timed_us, switched_us)
 
 
 def _moving_slices(scene: Scene) -> int:
@@ -207,25 +214,22 @@ class _Enough(Exception):
     """Enough slices were run."""
 
 
-def _run(
-    trial: SomeTrial, play: Play[SomeTrial], slices: int, timer: CallTimer, most_s: float = math.inf
-) -> tuple[int, Floats]:
-    """Return how many slices were timed, and microseconds per slice: in total, and in the calls of each part.
+def _run(trial: SomeTrial, play: Play[SomeTrial], slices: int, timer: CallTimer, most_s: float = math.inf) -> Floats:
+    """Return microseconds per slice of each block, (blocks, 1 + parts): in total, and in the calls of each part.
 
-    The run ends after `most_s`. Time counts from the end of the first slice, which is the only one not timed.
+    The run ends before a block that would begin later than `most_s`.
     """
-    begun: list[float] = []
-    latest: list[float] = []
-    done = -1
+    blocks: list[list[float]] = []
+    done = 0
 
     def append(events: Events, rows: dict[str, Any]) -> None:
-        nonlocal begun, latest, done
-        latest = [thread_time(), *timer.seconds.values()]
-        begun = begun or latest
+        nonlocal done
+        if done % BLOCK == 0:
+            blocks.append([thread_time(), *timer.seconds.values()])
+            if done >= slices or blocks[-1][0] > blocks[0][0] + most_s:
+                raise _Enough
         done += 1
-        if done == slices or latest[0] - begun[0] > most_s:
-            raise _Enough
 
     with suppress(_Enough):
         play(trial, append, timer)
-    return max(done, 0), np.subtract(latest, begun) / max(done, 1) * 1e6
+    return np.diff(np.reshape(blocks, (-1, 1 + len(timer.seconds))), axis=0) / BLOCK * 1e6
