@@ -14,10 +14,11 @@ from typer.testing import CliRunner
 from evetac_cli.cli.main import app
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.record import Record
-from evetac_cli.sim.parts import Timer, untimed
+from evetac_cli.jobs import Outcome
+from evetac_cli.sim.parts import Timer, rows_of, untimed
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.trials import grasp, part_costs, record
-from evetac_cli.trials.part_costs import BLOCK, Append, CallTimer, measure
+from evetac_cli.trials.part_costs import BLOCK, Append, CallTimer, PartCosts, for_people, measure
 from evetac_cli.trials.record import simulated
 from evetac_cli.trials.trial import SimulatedTrial
 
@@ -80,8 +81,19 @@ def test_costs_are_those_of_the_clock(texture: str, machine: SlowedClock) -> Non
         assert rows[part]["time_us"] == pytest.approx(us), part
     assert rows["window"]["time_us"] == (pytest.approx(WINDOW_US) if shown else None)
     assert rows["window"]["saves_us"] == (None if shown else pytest.approx(WINDOW_US))
-    assert all(row["noise_us"] == pytest.approx(0.0) for row in rows.values() if row["noise_us"] is not None)
+    assert all(row["noise_us"] < 1e-6 for row in rows.values() if row["noise_us"] is not None)
     assert rows["pushes"]["time_us"] is rows["pushes"]["saves_us"] is None
+
+
+def test_a_difference_within_the_noise_is_not_a_figure() -> None:
+    """Assert that a cost is shown as a figure only if it exceeds its standard error, and is not below zero."""
+    (trial,) = record.jobs([], Record(), None)
+    whole_us = np.full(4, 100.0)
+    others = {"window": whole_us - 20.0, "noise": whole_us + [9.0, -9.0, 9.0, -9.0], "cut edge": whole_us + 3.0}
+    rows = PartCosts(rows_of(trial.plan), whole_us, {"camera": 50.0}, others).rows()
+    shown = for_people(Outcome(rows, True, {"files": 1, "first_file": "a.recording.h5"}))[0]
+    expected = {"window": "20", "noise": "< 10", "cut edge": "< 3", "dots": "33", "camera": "50"}
+    assert {row["part"]: row["time_us"] for row in shown if row["part"] in expected} == expected
 
 
 @pytest.mark.parametrize("budget_s", [0.5, 0.1, 1e-6])
