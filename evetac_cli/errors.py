@@ -23,8 +23,8 @@ import os
 import shlex
 import signal
 import sys
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -234,6 +234,15 @@ def missing_extra(
     """
     hint = install_hint(extra) + (f", or {otherwise}" if otherwise else "")
     return MissingLibrary(message, where=where, found=found or (str(error) if error else ""), hint=hint)
+
+
+@contextmanager
+def needs_extra(message: str, extra: str, where: str) -> Iterator[None]:
+    """Turn the ImportError of a library of one of EXTRAS into MissingLibrary."""
+    try:
+        yield
+    except ImportError as error:
+        raise missing_extra(message, extra, where=where, error=error) from None
 
 
 def install_hint(extra: str = "") -> str:

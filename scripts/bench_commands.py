@@ -56,7 +56,7 @@ def cheapest(codes: Sequence[Path], rounds: int, commands: dict[str, str] = COMM
         for code, folder in zip(codes, folders, strict=True):
             folder.mkdir()
             made = [f"{stage} a.recording.h5" for stage in STAGES]
-            for words in (RECORD, *made, "predict-touch a.tracks.h5", "index ."):
+            for words in (RECORD, *made, "predict-touch a.tracks.h5", "info ."):
                 cpu_s(code, words, folder)
         at_work = list(zip(codes, folders, strict=True))
         found = {}

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import typer
 
 from evetac_cli import __version__, commands, console, interrupts
-from evetac_cli.cli import config, execution, exit_codes, flags, indexing, workers
+from evetac_cli.cli import config, execution, exit_codes, flags, workers
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.cli.flags import Running
 from evetac_cli.commands.parameter import Command
@@ -168,7 +168,7 @@ def _info(
 ) -> None:
     """Show the contents of stage files: kind, duration, events, rates, history. For a folder, list its files.
 
-    The list of a folder's files is made from its index.
+    The list of a folder's files is kept in an index, so that only changed files are read again.
     """
     with CommandExit("info", Running(as_json=as_json, verbose=verbose)) as looked:
         if len(files) != 1 or not files[0].is_dir():
@@ -210,23 +210,6 @@ def _describe(files: list[Path], looked: CommandExit, *, quiet: bool) -> None:
         raise errors[0]
 
 
-def _index(
-    folders: Annotated[list[Path], typer.Argument(help="Folders of data sets.", show_default=False)],
-    number_of_jobs: Annotated[int, flags.looking("number_of_jobs")] = 1,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
-    """Create or update the index of a data set, which `evetac info FOLDER` uses."""
-    running = Running(number_of_jobs=number_of_jobs, as_json=as_json, quiet=quiet, verbose=verbose)
-    with CommandExit("index", running):
-        execution.require_jobs(running)
-        index = importlib.import_module("evetac_cli.inspect.index")
-        with console.progress_bar("index", "files", quiet=quiet) as progress:
-            result: Outcome = index.run(folders, progress, indexing.describer(number_of_jobs))
-        _show("index", index, result, running)
-
-
 def _add_evaluate(app: typer.Typer) -> None:
     judging = typer.Typer(
         cls=flags.Group, help="Evaluate results: numbers, tables, plots and a report file.", no_args_is_help=True
@@ -257,7 +240,6 @@ ADDED: dict[str, Callable[[typer.Typer], None]] = {
     **{name: _adding(name, "Pipeline") for name in commands.OF_PIPELINE},
     "evaluate": _add_evaluate,
     "info": _inspecting("info", _info),
-    "index": _inspecting("index", _index),
     "view": _adding("view", "Inspect", _write_for_others, flags.OF_VIEW),
     "report": _adding("report", "Inspect", _write_for_others, flags.OF_REPORT),
     "export": _adding("export", "Inspect", _write_for_others, flags.OF_EXPORT),

@@ -1,4 +1,4 @@
-"""index: build or update the index of a data set; and the answers of `info FOLDER`, which uses the index."""
+"""info FOLDER: counts of a data set's files, or those that satisfy conditions, from its index."""
 
 import re
 from collections import Counter
@@ -7,10 +7,9 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.console import print_table
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome, Progress, silent
-from evetac_cli.store.index import Describe, Index, IndexRow, one_by_one, read_index
+from evetac_cli.store.index import IndexRow, read_index
 from evetac_cli.text_files import as_utf8
 
 HIDDEN = ("changed_ns", "inode")  # used to check whether a row is up to date
@@ -22,31 +21,15 @@ MISSING = "none"
 RANGE = re.compile("([0-9]{1,18})-([0-9]{1,18})")
 
 
-def run(folders: list[Path], progress: Progress = silent, describe_files: Describe = one_by_one) -> Outcome:
-    """Return a row for every folder: the number of its files, and of those that had to be read."""
-    rows = []
-    simulated = False
-    for folder in folders:
-        index = read_index(folder, progress, describe_files)
-        totals = _totals(index)
-        simulated |= any(row.simulated for row in index.rows)
-        row = {"folder": str(folder), "files": totals["files"], "read": index.read, "removed": index.removed}
-        row |= {"unreadable": totals["unreadable"], "foreign": totals["foreign"], "stored": index.stored}
-        rows.append(row)
-    return Outcome(rows, simulated, {"folders": len(rows)})
-
-
-def show(result: Outcome) -> None:
-    """Print the rows as a table."""
-    print_table("index", result.rows, result.summary, simulated=result.simulated)
-
-
 def answer(folder: Path, conditions: Sequence[str], progress: Progress = silent) -> Outcome:
     """Return counts of a data set's files and covariates of its slips; with conditions (`object=3`) its files."""
     fits = [_condition(condition) for condition in conditions]
     index = read_index(folder, progress)
     selected = [row for row in index.rows if all(fit(row) for fit in fits)]
-    summary: dict[str, Any] = {"folder": str(folder), **_totals(index)}
+    foreign = len(index.foreign)
+    unreadable = sum(row.error is not None for row in index.rows)
+    totals = {"files": len(index.rows) - foreign, "unreadable": unreadable, "foreign": foreign}
+    summary: dict[str, Any] = {"folder": str(folder), **totals}
     if conditions:
         rows = [{name: getattr(row, name) for name in NAMES} for row in selected]
         summary["fit"] = len(rows)
@@ -54,12 +37,6 @@ def answer(folder: Path, conditions: Sequence[str], progress: Progress = silent)
         covariates, covariate_summary = _covariates(index.rows, folder, progress)
         rows, summary = _counts(index.rows) + covariates, summary | covariate_summary
     return Outcome(rows, any(row.simulated for row in selected), summary)
-
-
-def _totals(index: Index) -> dict[str, int]:
-    foreign = len(index.foreign)
-    unreadable = sum(row.error is not None for row in index.rows)
-    return {"files": len(index.rows) - foreign, "unreadable": unreadable, "foreign": foreign}
 
 
 def for_people(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

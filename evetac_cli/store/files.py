@@ -12,7 +12,7 @@ run has put a file there in the meantime, this ends as it would have, had that f
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Self
@@ -187,12 +187,20 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
 
     If it has anything else: InputError with the first difference, or False with `force`, to replace it. This is checked
     before any work is done, so that a refusal comes immediately and not after an hour, and again by `write_stage`.
+
+    Of a file with this recipe only the header is read, because whoever reads its contents checks them; with `force` the
+    whole file is checked, so that a damaged one is replaced.
     """
     if os.path.isdir(path):
         raise InputError("the output is a folder", where=str(path))
     if not os.path.exists(path):
         existing_folder(path.parent)
         return False
+    if not force:
+        with suppress(InputError), CheckedHdf5(path) as file:
+            header = read_header(file)
+            if header["id"] == recipe.id == recompute_id(header):
+                return True
     try:
         with StageFile(path) as existing:
             existing.check()
@@ -203,10 +211,8 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
             return False
         message, hint = "the output exists and is not a valid evetac file", "--force replaces it"
         raise InputError(message, where=str(path), found=error.message, hint=hint) from None
-    if header["id"] == recipe.id:
-        return True
     if force:
-        return False
+        return bool(header["id"] == recipe.id)
     if of_devices:
         message = "the output exists: it is a recording of devices, which cannot be made again"
         hint = "-o NAME writes to another file; --force replaces the recording, which is then lost"

@@ -14,7 +14,7 @@ Of two concurrent commands, the later one replaces the index of the earlier one,
 
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -78,8 +78,6 @@ class IndexRow(NamedTuple):
 
 
 Progress = Callable[[int, int], None]
-# Describes files, given by their paths.
-Describe = Callable[[Path, Mapping[str, Seen], Progress], Iterable[IndexRow]]
 
 
 class _Stored(msgspec.Struct):
@@ -112,16 +110,7 @@ class Index(NamedTuple):
         return f"skipped: {len(names):,} HDF5 file{several}"
 
 
-def one_by_one(folder: Path, files: Mapping[str, Seen], progress: Progress) -> Iterator[IndexRow]:
-    """Describe files in this process, one after the other."""
-    for number, (name, seen) in enumerate(files.items()):
-        progress(number, len(files))
-        yield describe(folder, name, *seen)
-
-
-def read_index(
-    folder: Path, progress: Progress = lambda done, total: None, describe_files: Describe = one_by_one
-) -> Index:
+def read_index(folder: Path, progress: Progress = lambda done, total: None) -> Index:
     """Return the index of a folder, updated for changed files; InputError if it is not a folder.
 
     progress: counts the files that have to be read.
@@ -133,8 +122,9 @@ def read_index(
     rows = {name: row for name, row in old.items() if row.seen == seen.get(name) and row.error is None}
     stale = {name: at for name, at in seen.items() if name not in rows}
     try:
-        for row in describe_files(folder, stale, progress):
-            rows[row.path] = row
+        for number, (name, at) in enumerate(stale.items()):
+            progress(number, len(stale))
+            rows[name] = describe(folder, name, *at)
     finally:  # after an interrupt, the next run continues from here
         stored = rows == old or _store(path, rows.values())
     return Index(sorted(rows.values()), len(stale), len(old.keys() - seen.keys()), stored)

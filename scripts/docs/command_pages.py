@@ -40,8 +40,8 @@ def _walk(command: Any, names: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
 
 
 def page_name(command: str) -> str:
-    """Return the file name of a command's page; `index.md` is the list of all, so the command `index` has another."""
-    return "index-command.md" if command == "index" else f"{command.replace(' ', '-')}.md"
+    """Return the file name of a command's page."""
+    return f"{command.replace(' ', '-')}.md"
 
 
 def pages() -> dict[str, str]:

@@ -119,7 +119,7 @@ def test_every_command_can_be_quiet_and_say_more(name: str) -> None:
     assert {"-q", "--quiet", "-v", "--verbose", "--json"} <= names
 
 
-@pytest.mark.parametrize("command", ["info", "validate", "index", "repair"])
+@pytest.mark.parametrize("command", ["info", "validate", "repair"])
 def test_quiet_commands_print_nothing(command: str, made: Made, tmp_path: Path) -> None:
     """Assert that -q leaves the exit code and errors alone, and prints nothing else; --json prints all the same."""
     shutil.copy(made.recordings[0], tmp_path / "a.recording.h5")

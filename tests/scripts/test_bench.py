@@ -72,7 +72,7 @@ def test_commands_of_two_checkouts_take_turns(monkeypatch: pytest.MonkeyPatch, t
 
     monkeypatch.setattr(bench_commands, "cpu_s", spent)
     found = bench_commands.cheapest([bench.ROOT, tmp_path], 2, {"info": "info a.recording.h5"})
-    made = ["record", "track", "label", "featurize", "predict-touch", "index"]
+    made = ["record", "track", "label", "featurize", "predict-touch", "info"]
     assert ran[:12] == [(code.name, words) for code in (bench.ROOT, tmp_path) for words in made]
     assert ran[12:] == [(code.name, "info") for _ in range(3) for code in (bench.ROOT, tmp_path)]
     assert found == {"info": [2.0, 1.0]}

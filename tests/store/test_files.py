@@ -223,7 +223,7 @@ def test_refusals(labels_file: Path, name: str) -> None:
     assert str(refused.value).startswith(f"{labels_file}: ")
     if name not in ("missing", "a folder"):
         with pytest.raises(InputError, match=r"(?s)not a valid evetac file.*--force"):
-            up_to_date(labels_file, RECIPE)
+            up_to_date(labels_file, Recipe("labels", 2, {}))
         assert not up_to_date(labels_file, RECIPE, force=True)
 
 

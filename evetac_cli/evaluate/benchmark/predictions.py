@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.benchmark.data_set import Benchmark, Truth
-from evetac_cli.formats.read.read_columns import PARQUET, Cells, read_columns
+from evetac_cli.evaluate.benchmark.data_set import PARQUET, Benchmark, Cells, Truth, read_columns
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 
 COLUMNS = {

@@ -124,11 +124,6 @@ def _slip(times_ms: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([distance_px * np.cos(turn), distance_px * np.sin(turn)], axis=1)
 
 
-def row_count(loads: Sequence[Workload]) -> int:
-    """Return the number of rows of `camera_rows`."""
-    return sum(len(load.settings) for load in loads)
-
-
 def camera_rows(seed: int, loads: Sequence[Workload]) -> Iterator[Row]:
     """Yield rows of error and run time for the settings of each workload.
 

@@ -28,7 +28,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError, missing_extra
+from evetac_cli.errors import InputError, needs_extra
 from evetac_cli.formats.note import NAME
 from evetac_cli.formats.read.damage import most_unpacked_bytes, refuse_too_much
 
@@ -101,11 +101,9 @@ class ImageFrame(NamedTuple):
 
 def check_libraries(where: str) -> None:
     """Raise MissingLibrary if a library that decompresses packets is not installed."""
-    try:
+    with needs_extra("AEDAT4 needs lz4 and zstandard", "convert", where):
         importlib.import_module("lz4.frame")
         importlib.import_module("zstandard")
-    except ImportError as error:
-        raise missing_extra("AEDAT4 needs lz4 and zstandard", "convert", where=where, error=error) from None
 
 
 def read_header(handle: BinaryIO, where: str) -> Header:

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError, missing_extra
+from evetac_cli.errors import InputError, needs_extra
 from evetac_cli.formats.read.damage import read_in_words, refuse_too_much
 from evetac_cli.formats.read.table_names import TICKS_S, Times, find_times, has_unit, is_time, name_and_unit
 from evetac_cli.store.hdf5.disk import joined_on_disk, utf8_path
@@ -64,10 +64,8 @@ def read_table(path: Path, folder: Path | None, length_s: float = math.inf) -> t
     the recording, which an assumed unit of time has to fit.
     """
     where = str(path)
-    try:
+    with needs_extra("CSV and Parquet need pyarrow", "convert", where):
         import pyarrow  # noqa: F401
-    except ImportError as error:
-        raise missing_extra("CSV and Parquet need pyarrow", "convert", where=where, error=error) from None
     with read_in_words(where, "the table cannot be read"), utf8_path(path) as place:
         names, types, batches_of, notes = _parquet(place) if is_parquet(path) else _csv(place, where)
         if len(names) > MOST_COLUMNS:

@@ -15,7 +15,7 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from evetac_cli.errors import InputError, missing_extra
+from evetac_cli.errors import InputError, needs_extra
 from evetac_cli.events import Events
 from evetac_cli.formats.note import NAME, Note
 from evetac_cli.formats.read.aedat4_packets import read_header, walk
@@ -91,10 +91,8 @@ def write_dsec(recording: Recording, path: Path, progress: Progress) -> None:
 def write_aedat4(recording: Recording, path: Path, progress: Progress) -> None:
     """Write one stream of events, t on the source's clock; raise InputError with faery's message if writing fails."""
     where = str(path.parent)
-    try:
+    with needs_extra("AEDAT4 needs faery", "convert", where):
         import faery
-    except ImportError as error:
-        raise missing_extra("AEDAT4 needs faery", "convert", where=where, error=error) from None
     offset_us = t_offset_us(recording)
     if recording.event_count and int(recording.events(0, 1).t[0]) + offset_us < 0:
         found, hint = f"an offset of {offset_us} us", "export the recording as text or dsec"

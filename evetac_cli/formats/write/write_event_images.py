@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError, missing_extra
+from evetac_cli.errors import InputError, needs_extra
 from evetac_cli.formats.write.slice_columns import TrialFiles
 from evetac_cli.formats.write.write_table import provenance
 from evetac_cli.jobs import Progress
@@ -86,10 +86,8 @@ def _npz(path: Path, of: Representation, count: int, description: str, blocks: I
 
 def _zarr(path: Path, of: Representation, count: int, description: str, blocks: Iterator["ImageBlock"]) -> None:
     """Write a group in one zip file, in version 2 of zarr's format, which replay buffers for policies use."""
-    try:
+    with needs_extra("a zarr store needs zarr", "convert", str(path.parent)):
         import zarr
-    except ImportError as error:
-        raise missing_extra("a zarr store needs zarr", "convert", where=str(path.parent), error=error) from None
     image_bytes = int(np.prod(of.shape)) * np.dtype(of.dtype).itemsize
     chunk = min(max(1, CHUNK_BYTES // image_bytes), max(1, count))
     with zarr.storage.ZipStore(path, mode="w") as store:

@@ -36,7 +36,7 @@ from itertools import repeat
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.errors import InputError, missing_extra
+from evetac_cli.errors import InputError, needs_extra
 from evetac_cli.events import SLICE_US
 from evetac_cli.formats.read.bags.read_rosbag import EVENTS_TOPIC, NOTE_TOPIC
 from evetac_cli.formats.write.event_files import note_for, t_offset_us
@@ -111,11 +111,9 @@ def write(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
 
 def _libraries(where: str) -> tuple[Any, Any, Callable[[str], str], Callable[[Any, str], bytes]]:
     """Return mcap's writer; of rosbags the types by name, a function for definitions, and the serializer."""
-    try:
+    with needs_extra("MCAP needs mcap and rosbags", "convert", where):
         from mcap.writer import Writer
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-    except ImportError as error:
-        raise missing_extra("MCAP needs mcap and rosbags", "convert", where=where, error=error) from None
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(DEFINITION, PACKET))
 

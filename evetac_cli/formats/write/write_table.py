@@ -12,7 +12,6 @@ that a trial has no data for is null. If the object or sensor of any trial is un
 files too, because pandas cannot read a folder name that means null.
 """
 
-import csv
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
@@ -23,7 +22,7 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError, missing_extra
+from evetac_cli.errors import InputError, needs_extra
 from evetac_cli.formats.write.slice_columns import (
     Opener,
     SliceColumns,
@@ -33,23 +32,19 @@ from evetac_cli.formats.write.slice_columns import (
     not_in_tables,
 )
 from evetac_cli.jobs import Progress
-from evetac_cli.store.hdf5.disk import utf8_path
-from evetac_cli.text_files import csv_text, open_regular, parse_json
+from evetac_cli.text_files import csv_text
 
 BATCH_BYTES = 32_000_000  # slices written at once, as one row group
 PARTITIONS = ("object", "sensor")
 COMPRESSION = "zstd"
-MOST_LINE_BYTES = 1 << 20  # longest line of CSV that is read; evetac's lines have some 10 kB
 
 
 def load_pyarrow(where: str) -> Any:
     """Import pyarrow with the submodules that are used here; raise MissingLibrary if it is not installed."""
-    try:
+    with needs_extra("tables need pyarrow", "convert", where):
         import pyarrow
         import pyarrow.csv
         import pyarrow.parquet
-    except ImportError as error:
-        raise missing_extra("tables need pyarrow", "convert", where=where, error=error) from None
     return pyarrow
 
 
@@ -74,40 +69,6 @@ def write_csv(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
         for batch in _batches(arrow, table, files, columns, facts, progress):
             writer.write_batch(batch)
     return [*files.notes, *not_in_tables(files.recording)]
-
-
-def is_simulated(path: Path) -> bool:
-    """Whether a table, Parquet or CSV, was exported from a simulated trial; False for tables of other programs.
-
-    Raises InputError if a Parquet file cannot be read.
-    """
-    if path.suffix == ".csv":
-        with open_regular(path) as file:
-            lines = [file.readline(MOST_LINE_BYTES).decode(errors="replace") for _ in range(2)]
-        return next(csv.DictReader(lines), {}).get("simulated") == "true"
-    try:
-        metadata = parse_json((_schema_of(path).metadata or {}).get(b"evetac", b"{}").decode())
-    except ValueError as error:
-        raise _unreadable(path, error) from None
-    return isinstance(metadata, dict) and metadata.get("simulated") is True
-
-
-def column_names(path: Path) -> tuple[str, ...]:
-    """Return the columns of a Parquet file with their types, `name: type`; raise InputError if it cannot be read."""
-    return tuple(f"{field.name}: {field.type}" for field in _schema_of(path))
-
-
-def _schema_of(path: Path) -> Any:
-    arrow = load_pyarrow(str(path))
-    try:
-        with utf8_path(path) as plain:
-            return arrow.parquet.read_schema(plain)
-    except (ValueError, OSError) as error:  # Arrow's errors are subclasses of one or the other
-        raise _unreadable(path, error) from None
-
-
-def _unreadable(path: Path, error: Exception) -> InputError:
-    return InputError("not a readable Parquet file", where=str(path), found=str(error)[:200])
 
 
 def write_data_set(sources: Sequence[Path], opened: Opener, folder: Path, progress: Progress) -> WrittenFolder:

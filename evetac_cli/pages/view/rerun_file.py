@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError, missing_extra
+from evetac_cli.errors import InputError, needs_extra
 from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.jobs import Progress
 from evetac_cli.pages.shared import BLUE, GREEN, INK, ORANGE, PINK, shown_colour
@@ -50,10 +50,8 @@ BEHIND = 29.0  # draw order of true positions; rerun draws points at 30
 
 def load_rerun() -> Any:
     """Return the module rerun; raise MissingLibrary if it is not installed."""
-    try:
+    with needs_extra("rerun, needed to write the file, is not installed", "view", ""):
         import rerun
-    except ImportError as error:
-        raise missing_extra("rerun, needed to write the file, is not installed", "view", error=error) from None
     return rerun
 
 

@@ -130,14 +130,6 @@ def _values_of(sensor: Sensor, keys: Container[str]) -> KnownGel:
     return KnownGel(**{name: value for name, value in whole._asdict().items() if name in keys})
 
 
-def mm_per_px_of(touch: Header) -> float:
-    """Return the scale with which a touch file was made: from its recipe or its force model's, or the expected one."""
-    ancestors = [touch["history"][parent] for parent in touch["parents"]]
-    models = [header for header in ancestors if header["kind"] == "force-model"]
-    scales = [header["parameters"].get("known", {}).get("mm_per_px") for header in (touch, *models)]
-    return next((float(scale) for scale in scales if scale is not None), MM_PER_PX)
-
-
 def expected_mm_per_px(frame_px: Sequence[int] | NDArray[np.integer]) -> float:
     """Return the expected scale of a frame (width, height), which shows as much of a gel as an Evetac's, lengthwise."""
     return MM_PER_PX * (max(FRAME_PX) / max(frame_px))

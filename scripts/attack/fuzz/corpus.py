@@ -204,7 +204,7 @@ KINDS = (
     Kind("Parquet of a stream", "pose.parquet", "bytes", _ATTACH, ("piece.recording.h5",)),
     Kind("Parquet, written anew", "pose.parquet", "parquet", _ATTACH, ("piece.recording.h5",)),
     Kind("index of a folder", "data", "index", (
-        "info {f}", "index {f}", "index {f} --jobs 2", "info {f} --where kind=recording",
+        "info {f}", "info {f} --where kind=recording",
         "track {f}/first.recording.h5",
         "report {f} --out {o}/a.html", "share {f} --out {o}/hub",
     )),

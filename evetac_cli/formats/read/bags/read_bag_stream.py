@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError, missing_extra
+from evetac_cli.errors import InputError, needs_extra
 from evetac_cli.formats.read.bags.bag_files import Bag, open_bag
 from evetac_cli.formats.read.bags.bag_readers import Connection, checksum
 from evetac_cli.formats.read.bags.read_rosbag import RECEPTION, SIMULATED_START_US, layout
@@ -362,10 +362,8 @@ class _Images(_MessageReader):
         return np.ascontiguousarray(rows.reshape(height, width, stored)[:, :, list(shown)])
 
     def _unpacked(self, message: Any) -> NDArray[np.uint8]:
-        try:
+        with needs_extra("compressed images need pillow", "plot", self.where):
             from PIL import Image
-        except ImportError as error:
-            raise missing_extra("compressed images need pillow", "plot", where=self.where, error=error) from None
         with read_in_words(self.where, f"the image of message {self.number} cannot be read"):
             opened = Image.open(io.BytesIO(np.asarray(message.data, np.uint8).tobytes()), formats=("JPEG", "PNG"))
         self._check_size(*opened.size)  # before it is unpacked

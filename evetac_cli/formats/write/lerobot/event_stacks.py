@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Ints
-from evetac_cli.errors import InputError, missing_extra
+from evetac_cli.errors import InputError, needs_extra
 from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.formats.write.lerobot.episodes import MOST_BYTES
 from evetac_cli.formats.write.lerobot.meta_files import Feature
@@ -130,10 +130,8 @@ def png_encoder(where: str) -> Any:
 
     Raises MissingLibrary if pillow is not installed.
     """
-    try:
+    with needs_extra("event frames need pillow", "convert", where):
         from PIL import Image
-    except ImportError as error:
-        raise missing_extra("event frames need pillow", "convert", where=where, error=error) from None
 
     def encode(grey: NDArray[np.uint8]) -> bytes:
         data = io.BytesIO()

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError, missing_extra
+from evetac_cli.errors import InputError, needs_extra
 from evetac_cli.formats.write.lerobot import event_stacks, other_streams
 from evetac_cli.formats.write.lerobot.contents import Choices, FrameContents, choose
 from evetac_cli.formats.write.lerobot.data_card import data_card
@@ -161,10 +161,8 @@ def write(
 
 
 def _load_av(where: str) -> Any:
-    try:
+    with needs_extra("video needs av", "convert", where):
         import av
-    except ImportError as error:
-        raise missing_extra("video needs av", "convert", where=where, error=error) from None
     return av
 
 
