@@ -68,8 +68,8 @@ def simulation(name: str, number: int) -> list[dict[str, object]]:
     plan = first_plan(name, str(number))
     for slices in (100, 100_000):  # the first compiles
         simulated = GraspSimulation(plan, *(np.random.default_rng([1, part]) for part in range(2)))
-        mechanics, camera = Stopwatch(simulated._move), Stopwatch(simulated._render)
-        simulated._move, simulated._render = mechanics, camera  # type: ignore[method-assign]
+        mechanics, camera = Stopwatch(simulated._move), Stopwatch(simulated.view.render)
+        simulated._move, simulated.view.render = mechanics, camera  # type: ignore[method-assign]
         start_ma, law = simulated.command[1], paper.start()
         started = time.thread_time()
         while not simulated.finished and simulated.slices < slices:
@@ -77,7 +77,7 @@ def simulation(name: str, number: int) -> list[dict[str, object]]:
                 if kind == "lift":
                     phase = paper.GraspPhase((simulated.slices >= TOUCH_MS) + (simulated.slices >= TOUCH_MS + LIFT_MS))
                     goal = paper.step(
-                        law, phase, bool(simulated._slip.truth()["truth/slip"]), simulated.finger.position_ticks
+                        law, phase, bool(simulated.view.slip.truth()["truth/slip"]), simulated.finger.position_ticks
                     )
                     simulated.command = ("position", goal)
                 elif simulated.slices >= 900:

@@ -31,11 +31,12 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.kernels.slip.architectures import Sensitivity
 from evetac_cli.sim.camera.gel_camera import GelCamera
-from evetac_cli.sim.gel import contact, dots, gel
+from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.cell_gaps import CellGaps, cell_samples, gaps_of
+from evetac_cli.sim.parts import untimed
+from evetac_cli.sim.scenes.gel_view import GelView
 from evetac_cli.sim.scenes.shared import (
     STEP_S,
-    DotPath,
     GelSlices,
     friction_factor,
     friction_of,
@@ -44,7 +45,6 @@ from evetac_cli.sim.scenes.shared import (
     press,
     pressure_law,
 )
-from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
 from evetac_cli.sim.setup import object_file, plan, sampling
 from evetac_cli.sim.setup.object_file import TouchedObject
 from evetac_cli.sim.setup.scene import GelSettings, Randomised, Scene, SceneTimes
@@ -225,13 +225,7 @@ class TouchSensor:
         solver = scene.solver
         self._gel_slices = GelSlices(self._gel, solver)
         self._friction = friction_of(self.sampled)
-        self._slip = GroundTruthSlip(self._gel, self._camera.mm_per_px, self._camera.window_px)
-        self._at_dots = dots.interpolation(nodes, self._camera.rest_m)
-        self._at_seen = dots.interpolation(nodes, np.concatenate([self._camera.rest_m, self._camera.cut_rest_m]))
-        many = solver.camera_substeps > 1
-        self._path = DotPath(self._gel, self._at_dots, solver.camera_substeps) if many else None
-        self._nearer_m = self._shift_m = np.zeros_like(self._camera.rest_m)
-        self._cut_m = np.zeros_like(self._camera.cut_rest_m)
+        self._view = GelView(self._camera, self._gel, solver.camera_substeps, untimed)
         self._now_ns = self._slices = 0
         place = (at_m[0], at_m[1], 0.0)
         height_m = self._height_of_surface(place)
@@ -380,7 +374,7 @@ class TouchSensor:
 
     def _make_slice(self, pressed: _Goal, moved: _Goal) -> Events:
         """Compute one slice, at the end of which the contact is as given."""
-        before_n, before_m = self._normal_n, self._nearer_m
+        before_n = self._normal_n
         twist, push_n = None, (0.0, 0.0, 0.0)
         if moved.by == "place_m":
             last = self._moved_to if self._moved_to is not None else self._present("place_m").values
@@ -407,34 +401,17 @@ class TouchSensor:
             self._surface, self._pressed_m = surface, self._indentation_m
             factor, law = self._friction_factor, self._pressure_law
             self._shares = press(self._gel, self._indentation_m, surface.gaps, factor, law)
-        each = None
-        if self._path is not None:
-            self._path.begin()
-            each = self._path.follow
+            self._view.press(surface.gaps.depth_m(self._indentation_m))
         normal_n = (before_n, self._normal_n)
-        done = self._gel_slices.advance(self._shares, normal_n, push_n, self._friction, twist, each)
-        if self._gel_slices.still_for <= RECENT_MS:  # without motion for longer, the slip does not change
-            self._slip.follow(self._gel, self._shares, self._normal_n)
+        done = self._gel_slices.advance(self._shares, normal_n, push_n, self._friction, twist, self._view.begin())
+        self._view.follow(self._shares, self._normal_n, self._gel_slices.still_for)
         self._shear_n = done.friction_n[:2]
         still = self._gel_slices.still_for > 0 and pressed_as_before
-        if not still:
-            if not pressed_as_before:
-                self._nearer_m = self._nearer()
-            seen_m = dots.displacement_at(self._gel, *self._at_seen)
-            count = len(self._camera.rest_m)
-            self._shift_m, self._cut_m = seen_m[:count] + self._nearer_m, seen_m[count:]
-        path_m = None if self._path is None else self._path.pieces(before_m, self._nearer_m)
-        nowhere, now_us = np.zeros(2), self._slices * SLICE_US
         self._slices += 1
-        return self._camera.render(self._shift_m, nowhere, 0.0, now_us, path_m, cut_m=self._cut_m, still=still)
-
-    def _nearer(self) -> Floats:
-        """Return the shift of the dots in the image as they approach the lens."""
-        depth = self._surface.gaps.depth_m(self._indentation_m)
-        return dots.nearer_by(self._camera.rest_m, dots.field_at(depth[..., None], *self._at_dots)[:, 0])
+        return self._view.see(self._slices - 1, still=still)
 
     def _touch(self, slices: tuple[Events, ...]) -> Touch:
-        slip = self._slip.truth()
+        slip = self._view.slip.truth()
         x_m, y_m, turn = self._gel.pose.tolist()
         dot_xy_px = self._camera.dot_xy_px.copy()
         return Touch(

@@ -20,19 +20,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.events import FRAME_PX, SLICE_US, SLICES_PER_S, Events
+from evetac_cli.events import FRAME_PX, SLICES_PER_S, Events
 from evetac_cli.sim import gripper
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.gel_camera import GelCamera
-from evetac_cli.sim.gel import contact, dots, gel
+from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
 from evetac_cli.sim.parts import Timer, untimed
+from evetac_cli.sim.scenes.gel_view import GelView
 from evetac_cli.sim.scenes.hand import Hand
 from evetac_cli.sim.scenes.second_finger import FACING, PART, SecondFinger, SecondView
 from evetac_cli.sim.scenes.shared import (
     STEP_S,
     ChangingFriction,
-    DotPath,
     GelSlices,
     SolverTruth,
     built_of_gel,
@@ -44,7 +44,6 @@ from evetac_cli.sim.scenes.shared import (
     pressure_law,
 )
 from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2, nodes_of_slip, slip_limit_n
-from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
 from evetac_cli.sim.setup import sampling
 from evetac_cli.sim.setup.held import HandSettings, SecondFingerSettings
 from evetac_cli.sim.setup.object_file import TouchedObject, seed_of
@@ -58,7 +57,6 @@ LEAST_FRICTION = 1e-6  # below, the holding force would not be finite
 APPROACH_TICKS = -4.0  # start of a lift scene: position relative to touch
 TEXTURE_PX = (1024, 1024)  # size of an object's texture
 TEXTURE_SEED = 7919  # with the object's number: an object has the same texture in every trial
-OUT_OF_SIGHT_M = np.zeros(2)  # position of an object without visible texture
 
 
 class GraspSimulation:
@@ -93,7 +91,6 @@ class GraspSimulation:
         texture = self._texture(plan.called, optics_rng)
         self._shows_texture = texture is not None
         self.gel_camera = GelCamera(sensor, scene=self._scene, texture=texture, rng=optics_rng)
-        self._render = timer("camera", self.gel_camera.render)
         self._step_finger = timer("gripper", gripper.step)
         self._faults = sampling.gripper_faults(self._scene, sensor)
         self._second_sensor = None if plan.second is None else sampling.sensor_with_gel(self._scene, plan.second.sensor)
@@ -108,13 +105,9 @@ class GraspSimulation:
         self.finished = False
         self._mass_kg = self.sampled.mass_kg
         self._lost_for = 0
-        self._slip = GroundTruthSlip(self._gel, self.gel_camera.mm_per_px, self.gel_camera.window_px)
         self._shear_n = (0.0, 0.0)
         self._table_m = 0.0
         self._pulls = 1.0  # gravity plus the hand's acceleration, divided by gravity
-        self._nearer_at_m = -1.0  # the indentation for which _nearer_m was computed
-        self._nearer_m: NDArray[np.float64] = np.zeros_like(self.gel_camera.rest_m)
-        self._seen = (self._nearer_m, OUT_OF_SIGHT_M, 0.0, self.gel_camera.cut_rest_m)  # set in the first slice
         self.slices_in_all = self._planned_slices(lift_s, balance_s)
         rises_at_s = self._time.touch_s + self._time.before_rise_s
         self._hand = Hand(self._scene.hand, rises_at_s, STEP_S, hand_rng)
@@ -157,7 +150,7 @@ class GraspSimulation:
         texture = self._texture(plan.called, rng, SECOND)
         scene = self._scene
         camera = GelCamera(self._second_sensor, scene=scene, texture=texture, rng=rng)
-        return SecondView(camera, self._pads[-1], self._gaps, timer, self._solver.camera_substeps)
+        return SecondView(camera, self._pads[-1], timer, self._solver.camera_substeps)
 
     def _texture(self, called: Called, rng: np.random.Generator, *side: int) -> NDArray[np.float32] | None:
         """Return the texture in the window; None if the scene has no texture, does not show it, or has no window."""
@@ -240,10 +233,7 @@ class GraspSimulation:
         self._changing_friction = ChangingFriction(self._scene.friction_change, self._friction)
         self._steps = SolverTruth(self._gel)
         self._window_from_middle_m = _window_from_middle_m(self.gel_camera, self._middle_m)
-        self._at_dots = dots.interpolation(nodes, self.gel_camera.rest_m)
-        self._at_seen = dots.interpolation(nodes, np.concatenate([self.gel_camera.rest_m, self.gel_camera.cut_rest_m]))
-        many = self._solver.camera_substeps > 1
-        self._path = DotPath(self._gel, self._at_dots, self._solver.camera_substeps) if many else None
+        self.view = GelView(self.gel_camera, self._gel, self._solver.camera_substeps, timer)
         # the state before a step that may have to be repeated
         self._before = tuple(one.copy() for one in self._pads)
         self._on_table = self._kind == "lift"
@@ -285,19 +275,14 @@ class GraspSimulation:
 
     def step(self) -> Events:
         """Advance by one slice and return its events; sets `finished` with the last one."""
-        before_m, closing_ticks = self._nearer_m, self.finger.closing_ticks
+        closing_ticks = self.finger.closing_ticks
         self._move()
         still = self._gel_slices.still_for > 0 and self.finger.closing_ticks == closing_ticks
         if not still:
-            seen_m = dots.displacement_at(self._gel, *self._at_seen)
-            count = len(self.gel_camera.rest_m)
-            shift_m, cut_m = seen_m[:count] + self._nearer(), seen_m[count:]
-            object_m, contrast = (self._seen_m(), self._contrast()) if self._shows_texture else (OUT_OF_SIGHT_M, 0.0)
-            self._seen = (shift_m, object_m, contrast, cut_m)
-        shift_m, object_m, contrast, cut_m = self._seen
-        path_m = None if self._path is None else self._path.pieces(before_m, self._nearer_m)
-        now_us = self.slices * SLICE_US
-        events = self._render(shift_m, object_m, contrast, now_us, path_m, cut_m=cut_m, still=still)
+            self.view.indent(self.finger.indentation_m, self._gaps)
+            if self._shows_texture:
+                self.view.show(self._seen_m(), self._contrast())
+        events = self.view.see(self.slices, still=still)
         if self.second_view is not None:
             self._see_second(self.second_view, still=still)
         self.slices += 1
@@ -307,13 +292,14 @@ class GraspSimulation:
     def _see_second(self, view: SecondView, *, still: bool) -> None:
         """Render the slice with the second finger's camera."""
         assert self._second is not None
-        object_m, contrast = OUT_OF_SIGHT_M, 0.0
+        if not still:
+            view.indent(self._second.indentation_m, self._gaps)
         if self._shows_texture and not still:
             middle_m = self._middle_m * FACING
             from_middle_m = _window_from_middle_m(view.camera, middle_m)
             moved_m = self._gel.pose[:2] * FACING - middle_m
-            object_m, contrast = _in_window(moved_m, -float(self._gel.pose[2]), from_middle_m), self._contrast()
-        view.see(self.slices, self._second.indentation_m, object_m, contrast, still=still)
+            view.show(_in_window(moved_m, -float(self._gel.pose[2]), from_middle_m), self._contrast())
+        view.events = view.see(self.slices, still=still)
 
     def _fallen_m(self) -> float:
         """Return the object's motion along gravity since the start, in m."""
@@ -329,15 +315,6 @@ class GraspSimulation:
         assert self._scene.texture is not None
         open_mm = max(-self.finger.closing_ticks, 0.0) * self._curve.metres_per_tick * 0.5e3
         return float(np.exp(-open_mm / self._scene.texture.focus_mm))
-
-    def _nearer(self) -> NDArray[np.float64]:
-        """Return the shift of the dots as they approach the lens; recomputed only if the indentation has changed."""
-        if self.finger.indentation_m != self._nearer_at_m:
-            self._nearer_at_m = self.finger.indentation_m
-            depth = self._gaps.depth_m(self.finger.indentation_m)
-            at_dots = dots.field_at(depth[..., None], *self._at_dots)[:, 0]
-            self._nearer_m = dots.nearer_by(self.gel_camera.rest_m, at_dots)
-        return self._nearer_m
 
     def _move(self) -> None:
         """Perform one mechanical step of finger, gel, object and table."""
@@ -362,14 +339,13 @@ class GraspSimulation:
         else:
             weight_n = self._mass_kg * (GRAVITY_M_S2 + acceleration) * self._load()
             done = self._solve(shares, force_n, weight_n + self._push())
-        if self._gel_slices.still_for <= RECENT_MS:  # without motion for longer, the slip does not change
-            self._slip.follow(self._gel, shares, self.finger.force_n)
+        still_for = self._gel_slices.still_for
+        self.view.follow(shares, self.finger.force_n, still_for)
         self._steps.follow(done, self._friction)
         self._shear_n = done.friction_n[:2]
         if self.second_view is not None and self._second_shares is not None:
-            pressed = (self._second_shares, self.finger.force_n)
-            sheared_n, still_for = done.second_friction_n[:2], self._gel_slices.still_for
-            self.second_view.follow(self._gel.pose, *pressed, sheared_n, still_for)
+            self.second_view.turn(self._gel.pose, done.second_friction_n[:2])
+            self.second_view.follow(self._second_shares, self.finger.force_n, still_for)
 
     def _close(self, second_pad: gel.GelState | None) -> None:
         """Let the gel follow a finger that closes to its initial position; then it rests on the free object as long.
@@ -416,13 +392,10 @@ class GraspSimulation:
         speed: float = 0.0,
     ) -> Slice:
         """Solve a slice of the gel, with a force on the object along gravity, or with a prescribed speed (is_held)."""
-        each = None
-        if self._path is not None:
-            self._path.begin()
-            each = self._path.follow
-            if self.second_view is not None and self.second_view.path is not None:
-                self.second_view.path.begin()
-                each = _both(each, self.second_view.path.follow)
+        each = self.view.begin()
+        second_each = None if self.second_view is None else self.second_view.begin()
+        if each is not None and second_each is not None:
+            each = _both(each, second_each)
         force, twist = self._along_gravity(weight_n), self._along_gravity(speed) if is_held else None
         second = self._second_shares
         return self._gel_slices.advance(shares, force_n, force, self._friction, twist, each, second_shares=second)
@@ -524,9 +497,8 @@ class GraspSimulation:
         """Return the ground truth at the end of the last slice, by schema path."""
         moved_m = self._gel.pose[:2] - self._middle_m
         row = {
-            "truth/dot_xy_px": self.gel_camera.dot_xy_px.astype(np.float32),
+            **self.view.truth(),
             "truth/object_xy_px": (moved_m * 1e3 / self.gel_camera.mm_per_px).astype(np.float32),
-            **self._slip.truth(),
             "truth/normal_force_n": self.finger.force_n,
             "truth/shear_force_n": self._shear_n,
             "truth/closing_ticks": self.finger.closing_ticks,
@@ -540,7 +512,7 @@ class GraspSimulation:
     def second_truth(self) -> dict[str, Any]:
         """Return the ground truth of the second finger, which must have a camera."""
         assert self.second_view is not None
-        own = self.second_view.truth(self._gel.pose[:2] - self._middle_m)
+        own = self.second_view.second_truth(self._gel.pose[:2] - self._middle_m)
         return {**own, "truth/normal_force_n": self.finger.force_n, "truth/closing_ticks": self.finger.closing_ticks}
 
 

@@ -13,16 +13,16 @@ import numpy as np
 
 from evetac_cli.arrays import Floats
 from evetac_cli.errors import SceneError
-from evetac_cli.events import SLICE_US, Events
+from evetac_cli.events import Events
 from evetac_cli.sim.camera.contact_edges import Outline
 from evetac_cli.sim.camera.gel_camera import GelCamera
-from evetac_cli.sim.gel import dots, gel
+from evetac_cli.sim.gel import gel
 from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.covered import covered
+from evetac_cli.sim.scenes.gel_view import GelView
 from evetac_cli.sim.scenes.shared import (
     STEP_S,
     ChangingFriction,
-    DotPath,
     GelSlices,
     SolverTruth,
     built_of_gel,
@@ -31,7 +31,6 @@ from evetac_cli.sim.scenes.shared import (
     material,
     pad,
 )
-from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
 from evetac_cli.sim.setup.driven import Face, FaceMotion
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import sample_trial, sensor_with_gel
@@ -86,7 +85,6 @@ class Pressing:
             outline=outline,
             outline_at_px=outline_at_px,
         )
-        self._render = timer("camera", self.gel_camera.render)
         self.sampled = sample_trial(self._scene, plan.touched, sensor, mechanics)
         nodes = pad(solver, sensor, cut=self._scene.gel.cut)
         self._material = material(sensor)
@@ -99,14 +97,8 @@ class Pressing:
         self._friction = friction_of(sampled)
         self._changing_friction = ChangingFriction(self._scene.friction_change, self._friction)
         self._steps = SolverTruth(self._gel)
-        self._at_dots = dots.interpolation(nodes, self.gel_camera.rest_m)
-        self._at_seen = dots.interpolation(nodes, np.concatenate([self.gel_camera.rest_m, self.gel_camera.cut_rest_m]))
-        many = solver.camera_substeps > 1
-        self._path = DotPath(self._gel, self._at_dots, solver.camera_substeps) if many else None
-        self._nearer_m = self._shift_m = np.zeros_like(self.gel_camera.rest_m)
-        self._cut_m = np.zeros_like(self.gel_camera.cut_rest_m)
+        self.view = GelView(self.gel_camera, self._gel, solver.camera_substeps, timer)
         self._centre_m, self.timeline = self._plan_motion(mechanics)
-        self._slip = GroundTruthSlip(self._gel, self.gel_camera.mm_per_px, self.gel_camera.window_px)
         self._xy_m, self._hand_n = self.timeline.at(0.0)
         self._force_n = self._hand_n
         self._place(self._centre_m + (self._xy_m if self.follows else 0.0))
@@ -179,22 +171,18 @@ class Pressing:
         force_n = borne * hand_n
         twist = ((x_m - x_before_m) / STEP_S, (y_m - y_before_m) / STEP_S, 0.0)
         self._friction = self._changing_friction.at(self.slices)
-        each = None
-        if self._path is not None:
-            self._path.begin()
-            each = self._path.follow
-        done = self._gel_slices.advance(
-            self._shares, (borne * before_n, force_n), (0.0, 0.0, 0.0), self._friction, twist, each
-        )
+        ends_n = (borne * before_n, force_n)
+        done = self._gel_slices.advance(self._shares, ends_n, (0.0, 0.0, 0.0), self._friction, twist, self.view.begin())
         still = self._gel_slices.still_for > 0 and hand_n == before_n
         self._hand_n = hand_n
         if not still:
             self._xy_m, self._force_n = xy_m, force_n if self._covered > 0 else 0.0
             self._shear_n = done.friction_n[:2]
             self._steps.follow(done, self._friction)
-        if self._gel_slices.still_for <= RECENT_MS:  # without motion for longer, the slip does not change
-            self._slip.follow(self._gel, self._shares, self._force_n)
-        events = self._look(still)
+            self.view.press(self._depth_m())
+            self.view.show(self._xy_m, 0.0)
+        self.view.follow(self._shares, self._force_n, self._gel_slices.still_for)
+        events = self.view.see(self.slices, still=still, strength=self._strength())
         self.slices += 1
         self.finished = self.slices * STEP_S >= self.timeline.time_s[-1] + self._scene.time.after_motion_s
         return events
@@ -205,20 +193,6 @@ class Pressing:
         self._covered = self._weights_now.sum()
         self._shares = self._weights_now / self._covered if self._covered > 0 else self._weights_now
 
-    def _look(self, still: bool) -> Events:
-        """Render the slice; `still`: nothing has changed since the last one."""
-        before_m = self._nearer_m
-        if not still:
-            self._nearer_m = self._nearer(self._weights_now)
-            seen_m = dots.displacement_at(self._gel, *self._at_seen)
-            count = len(self.gel_camera.rest_m)
-            self._shift_m, self._cut_m = seen_m[:count] + self._nearer_m, seen_m[count:]
-        path_m = None if self._path is None else self._path.pieces(before_m, self._nearer_m)
-        now_us, strength = self.slices * SLICE_US, self._strength()
-        return self._render(
-            self._shift_m, self._xy_m, 0.0, now_us, path_m, cut_m=self._cut_m, strength=strength, still=still
-        )
-
     def _borne(self, covered: float) -> float:
         """Return the share of the hand's force on the pad, if that many cells are covered: always all of it."""
         return 1.0
@@ -227,20 +201,19 @@ class Pressing:
         """Return the visibility of the face's outline, 0 to 1."""
         return 0.0
 
-    def _nearer(self, weights: Floats) -> Floats:
-        """Return the shift of the dots in the image as they approach the lens."""
+    def _depth_m(self) -> Floats:
+        """Return the mean depth of each node's cell, (rows, columns)."""
         if self._force_n <= 0.0:
-            return np.zeros_like(self.gel_camera.rest_m)
-        area = weights.sum() * self._gel.cell_area_m2
-        depth = weights * (self._force_n / (self._stiffness_n_m3 * area))
-        return dots.nearer_by(self.gel_camera.rest_m, dots.field_at(depth[..., None], *self._at_dots)[:, 0])
+            return np.zeros_like(self._weights_now)
+        area = self._weights_now.sum() * self._gel.cell_area_m2
+        depth_m: Floats = self._weights_now * (self._force_n / (self._stiffness_n_m3 * area))
+        return depth_m
 
     def truth(self) -> dict[str, Any]:
         """Return the ground truth at the end of the last slice, by schema path."""
         return {
-            "truth/dot_xy_px": self.gel_camera.dot_xy_px.astype(np.float32),
+            **self.view.truth(),
             "truth/object_xy_px": self.gel_camera.object_xy_px.astype(np.float32),
-            **self._slip.truth(),
             "truth/normal_force_n": self._force_n,
             "truth/shear_force_n": self._shear_n,
             **self._steps.rows(),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from evetac_cli.arrays import Floats
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.kernels.compiled import njit
-from evetac_cli.sim.gel import contact, dots, gel
+from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
 from evetac_cli.sim.gel.cell_gaps import CellGaps
 from evetac_cli.sim.gel.friction import varied
@@ -275,34 +275,3 @@ class SolverTruth:
             "truth/estimated_error_um": self._last.error_m * 1e6,
             "truth/slip_half_wavelength_nodes": half if math.isfinite(half) else math.nan,
         }
-
-
-class DotPath:
-    """Path of the gel under the dots within a slice, for a camera that uses more than one straight line per slice."""
-
-    def __init__(self, pad_state: gel.GelState, at_dots: tuple[NDArray[np.intp], Floats], pieces: int) -> None:
-        self._gel = pad_state
-        self._at_dots = at_dots
-        self._times = np.linspace(0.0, STEP_S, pieces + 1)
-        self._reached_s: list[float] = []
-        self._shift_m: list[Floats] = []
-
-    def begin(self) -> None:
-        """Start a slice at the gel's present state."""
-        self._reached_s, self._shift_m = [0.0], [dots.displacement_at(self._gel, *self._at_dots)]
-
-    def follow(self, _: gel.StepInfo, dt_s: float) -> None:
-        """Store the gel's state after a step."""
-        self._reached_s.append(self._reached_s[-1] + dt_s)
-        self._shift_m.append(dots.displacement_at(self._gel, *self._at_dots))
-
-    def pieces(self, before_m: Floats, after_m: Floats) -> Floats:
-        """Return the displacement at the ends of all pieces, (pieces + 1, dots, 2), with shifts other than shear."""
-        place = np.interp(self._times, self._reached_s, np.arange(len(self._reached_s)))
-        low = np.minimum(place.astype(np.intp), len(self._reached_s) - 2)
-        part = (place - low)[:, None, None]
-        shift_m = np.stack(self._shift_m)
-        along = (self._times / STEP_S)[:, None, None]
-        path: Floats = shift_m[low] * (1 - part) + shift_m[low + 1] * part + before_m * (1 - along) + after_m * along
-        path[-1] = shift_m[-1] + after_m  # exact, also if steps of 0.1 ms add up to more than the slice
-        return path

@@ -82,7 +82,7 @@ def test_a_lift_with_different_fingers() -> None:
     for k in range(2600):
         if k % 2 == 0:
             phase = grip.GraspPhase(int(k >= 1500))
-            one.command = ("position", grip.step(law, phase, one._slip._slips, one.finger.position_ticks))
+            one.command = ("position", grip.step(law, phase, one.view.slip._slips, one.finger.position_ticks))
         one.step()
         carried_n.append(both_n(one))
     assert one.truth()["truth/table_gap_mm"] > 3.0

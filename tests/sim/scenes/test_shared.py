@@ -67,8 +67,8 @@ def test_what_acts_anew_is_solved() -> None:
 def test_camera_at_rest_sees_all_there_is(tmp_path: Path) -> None:
     """Assert that a scene at rest makes the events of one whose camera looks at every slice in full."""
     quick, full = (pressing("shear", tmp_path, motion={"count": 1, "pause_s": 1.2}) for _ in range(2))
-    render = full._render
-    full._render = lambda *given, **named: render(*given, **{**named, "still": False})
+    render = full.view.render
+    full.view.render = lambda *given, **named: render(*given, **{**named, "still": False})
     seen_at_rest = 0
     while not quick.finished:
         one, other = quick.step(), full.step()
