@@ -8,19 +8,32 @@ The comment `#:` above a field is its description.
 import inspect
 import json
 import re
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import msgspec
+from msgspec import Meta
 
 from evetac_cli.sim.setup.object_file import ObjectFile
 from evetac_cli.sim.setup.scene import Scene
-from evetac_cli.sim.setup.sensor import SensorFile
+from evetac_cli.sim.setup.sensor import SENSOR_NAME, Sensor
 from evetac_cli.sim.setup.tables import Table, fields_of
 
 SCHEMAS = Path(__file__).resolve().parents[1] / "schemas"
 JSON_SCHEMA = "https://json-schema.org/draft/2020-12/schema"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorFile(Sensor):
+    """A file of --sensor: a sensor and the keys that only a file has."""
+
+    #: name of the sensor in recordings
+    name: Annotated[str, Meta(max_length=40, pattern=SENSOR_NAME)] | None = None
+    #: named sensor that supplies every key that the file leaves out
+    like: Annotated[str, Meta(max_length=40)] | None = None
+
+
 TYPES: dict[str, tuple[type[Table], str]] = {
     "scene": (Scene, "scene: what is simulated; only the parts it names exist"),
     "sensor": (SensorFile, "sensor: a row of sensors.toml, or a file of --sensor"),

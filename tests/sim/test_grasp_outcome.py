@@ -7,7 +7,7 @@ import pytest
 
 from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.sim import gripper
-from evetac_cli.sim.grasp_outcome import HOLDING, NEEDED, opening_mm, outcome
+from evetac_cli.sim.grasp_outcome import HOLDING, NEEDED, outcome
 
 MM_PER_PX = 0.03
 TOUCH_MS, LIFT_MS, END_MS = 100, 300, 500
@@ -114,16 +114,3 @@ def test_a_held_object_did_not_fall(low_mm: float, slid_px: float, force_n: floa
     low = {"truth/table_gap_mm": np.full(END_MS, low_mm), "truth/object_xy_px": slides_px}
     low["truth/normal_force_n"] = np.full(END_MS, force_n)
     assert outcome(rows(**low), MM_PER_PX, END_MS)["failure"] == failure
-
-
-def test_a_grasp_that_never_closed_has_no_reduction() -> None:
-    """Assert that nothing is divided by no closing."""
-    still = np.full(END_MS // 2, 200)
-    assert outcome(rows(**{"gripper/position_ticks": still}), MM_PER_PX, END_MS)["reopened_share"] is None
-
-
-def test_opening_in_mm_is_that_of_the_linkage() -> None:
-    """Assert that ticks become millimetres by the four-bar linkage: closing is negative, and about 0.16 mm a tick."""
-    assert opening_mm(300, 313) == pytest.approx(-13 * 1e3 * gripper.metres_per_tick(gripper.gap_m(306.5)), rel=1e-3)
-    assert opening_mm(300, 300) == 0.0
-    assert opening_mm(313, 300) == -opening_mm(300, 313)

@@ -7,7 +7,6 @@ import pytest
 
 from evetac_cli.sim.gel.contact import cell_area, closing_at, force_curve, gap_profile, lookup, pad_nodes
 from evetac_cli.sim.gripper import (
-    REST_M_S,
     DelayedCommands,
     Drive,
     closed_with,
@@ -112,16 +111,6 @@ def test_push_of_a_goal_ahead(ahead_ticks, about_n):
     assert state.force_n == pytest.approx(about_n, rel=0.05, abs=0.01)
 
 
-def test_goal_on_the_encoder_does_not_let_go():
-    """Assert that with the goal on the encoder's tick the finger keeps a force below Fc by friction, and drops more."""
-    light = start(DRIVE, CURVE, TOUCH_TICKS, closing_at(CURVE, 3.0))
-    settle(light, "position", lambda finger: finger.position_ticks, 1.0)
-    assert light.force_n == pytest.approx(3.0, rel=1e-12)
-    heavy = start(DRIVE, CURVE, TOUCH_TICKS, closing_at(CURVE, 6.0))
-    settle(heavy, "current", 0.0, 3.0)
-    assert heavy.force_n == pytest.approx(DRIVE.friction_n / (1 - DRIVE.friction_share), rel=1e-3)
-
-
 def test_speed_limit_holds():
     """Assert that the finger never exceeds the limit in either direction, reaches it, and keeps it until it touches."""
     state = start(DRIVE, CURVE, TOUCH_TICKS, -100.0)
@@ -160,18 +149,6 @@ def test_stops_of_the_gripper_and_of_the_curve():
     settle(state, "current", 600.0, 3.0)
     assert state.closing_ticks == pytest.approx(CURVE.reach_ticks, abs=1e-9)
     assert state.force_n == pytest.approx(CURVE.force_n[-1], rel=1e-9)
-
-
-def test_trajectory_converges_with_the_time_step():
-    """Assert that the error of the force while closing falls in proportion to the time step."""
-    forces = {}
-    for dt_s in (1e-3, 5e-4, 2.5e-4, 2e-5):
-        state = start(DRIVE, CURVE, TOUCH_TICKS, -0.5)
-        forces[dt_s] = settle(state, "current", 20.0, 0.06, dt_s)[-1, 0]
-    errors = [abs(forces[dt_s] - forces[2e-5]) for dt_s in (1e-3, 5e-4, 2.5e-4)]
-    assert forces[2e-5] > 0.5
-    assert errors[0] < 0.03 * forces[2e-5]
-    assert errors[0] / errors[2] > 3.2
 
 
 @pytest.mark.parametrize("dt_s", [1e-6, 1e-3, 0.1, 10.0])
@@ -226,48 +203,29 @@ def test_geometry_of_the_fingers():
             ticks_at_gap(width_m)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
-@pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(Drive)])
-def test_drive_refuses_nonsense(name, value):
-    """Assert that every constant has to be finite and not negative."""
-    with pytest.raises(ValueError, match=name):
-        Drive(**{name: value})
+REFUSED = [
+    *(({"drive": {field.name: value}}, field.name) for field in dataclasses.fields(Drive) for value in (np.nan, -1.0)),
+    *(({"drive": {name: 0.0}}, name) for name in ("force_per_current_n_ma", "speed_limit_m_s")),
+    ({"drive": {"friction_share": 1.0}}, "friction_share"),
+    ({"drive": {"open_ticks": 740.0}}, "open_ticks"),
+    *(({"start": place}, "must start within") for place in ((1.0, -2.0), (739.0, 2.0), (np.nan, 0.0))),
+    *(({"step": ("current", command, 1e-3)}, "command") for command in (np.nan, np.inf)),
+    *(({"step": ("position", 400.0, dt_s)}, "dt_s") for dt_s in (0.0, -1e-3, np.nan)),
+]
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [{"force_per_current_n_ma": 0.0}, {"speed_limit_m_s": 0.0}, {"friction_share": 1.0}, {"open_ticks": 740.0}],
-)
-def test_drive_refuses_what_cannot_move(changes):
-    """Assert that constants with which the law has no solution, or only rest, are refused."""
-    with pytest.raises(ValueError, match=next(iter(changes))):
-        Drive(**changes)
-
-
-@pytest.mark.parametrize(
-    ("mode", "command", "dt_s"),
-    [
-        ("current", np.nan, 1e-3),
-        ("current", np.inf, 1e-3),
-        ("position", 400.0, 0.0),
-        ("position", 400.0, -1e-3),
-        ("position", 400.0, np.nan),
-    ],
-)
-def test_step_refuses_nonsense(mode, command, dt_s):
-    """Assert that commands and steps that make no sense are refused and leave the finger where it is."""
+@pytest.mark.parametrize(("given", "named"), REFUSED)
+def test_refusals(given, named):
+    """Assert that drives without a solution, starts out of reach and steps of nonsense are refused; nothing moves."""
     state = start(DRIVE, CURVE, TOUCH_TICKS, -1.0)
     before = dataclasses.replace(state)
-    with pytest.raises(ValueError, match="found"):
-        step(state, DRIVE, CURVE, mode, command, dt_s)
+    with pytest.raises(ValueError, match=named):
+        if "drive" in given:
+            Drive(**given["drive"])
+        if "start" in given:
+            start(DRIVE, CURVE, *given["start"])
+        step(state, DRIVE, CURVE, *given["step"])
     assert state == before
-
-
-@pytest.mark.parametrize(("touch_ticks", "closing_ticks"), [(1.0, -2.0), (739.0, 2.0), (np.nan, 0.0), (400.0, np.inf)])
-def test_start_refuses_places_out_of_reach(touch_ticks, closing_ticks):
-    """Assert that a finger cannot start outside the gripper's stroke."""
-    with pytest.raises(ValueError, match="must start within"):
-        start(DRIVE, CURVE, touch_ticks, closing_ticks)
 
 
 @pytest.mark.parametrize("backlash_ticks", [0.5, 3.0])
@@ -385,23 +343,18 @@ def test_a_loose_gear_goes_on_unless_it_rests():
     assert state.force_n < rested_n - more_n
 
 
-def test_when_a_finger_rests():
-    """Assert that after a step of 1 mA a finger is held again once 0.26 s have passed, longer than a mA of the ramp."""
-    state = closed_with(LOOSE, CURVE, TOUCH_TICKS, 30)
-    settle(state, "current", 10, 1.0, drive=LOOSE)
-    settle(state, "current", 6, 0.145, drive=LOOSE)
-    moving = settle(state, "current", 5, 1.0, drive=LOOSE)
-    assert state.speed_m_s == 0.0
-    slow_ms = np.flatnonzero(np.abs(moving[:, 1]) > REST_M_S)[-1] + 1
-    assert 145 < slow_ms < 400
-
-
-def test_breaking_loose_converges_with_the_time_step():
-    """Assert that the error of the force after a gear broke loose falls in proportion to the time step."""
+@pytest.mark.parametrize("breaks_loose", [False, True])
+def test_trajectory_converges_with_the_time_step(breaks_loose):
+    """Assert that the error of the force, while closing or after a gear broke loose, falls with the time step."""
     forces = {}
     for dt_s in (1e-3, 5e-4, 2.5e-4, 2e-5):
-        state = closed_with(LOOSE, CURVE, TOUCH_TICKS, 20)
-        forces[dt_s] = settle(state, "current", -3, 0.03, dt_s, drive=LOOSE)[-1, 0]
+        if breaks_loose:
+            state = closed_with(LOOSE, CURVE, TOUCH_TICKS, 20)
+            forces[dt_s] = settle(state, "current", -3, 0.03, dt_s, drive=LOOSE)[-1, 0]
+        else:
+            state = start(DRIVE, CURVE, TOUCH_TICKS, -0.5)
+            forces[dt_s] = settle(state, "current", 20.0, 0.06, dt_s)[-1, 0]
     errors = [abs(forces[dt_s] - forces[2e-5]) for dt_s in (1e-3, 5e-4, 2.5e-4)]
-    assert closed_with(LOOSE, CURVE, TOUCH_TICKS, 20).force_n - forces[2e-5] > 0.5
+    begins_n = closed_with(LOOSE, CURVE, TOUCH_TICKS, 20).force_n if breaks_loose else 0.0
+    assert abs(begins_n - forces[2e-5]) > 0.5
     assert errors[0] / errors[2] > 3.2

@@ -6,11 +6,9 @@ from typing import Any
 
 import pytest
 
-from evetac_cli.errors import SceneError
 from evetac_cli.resources import SCENES
 from evetac_cli.sim.parts import rows_of, switched
 from evetac_cli.sim.setup.plan import Plan, first_plan
-from evetac_cli.sim.setup.scene import VanishingDots
 from evetac_cli.sim.setup.sensor import NoiseFilterSettings, ReadoutLimit
 from tests.quick import few
 
@@ -117,11 +115,3 @@ def test_uneven_light_is_seen_only_by_slow_pixels() -> None:
     planned = with_sensor(first_plan("slip"), light_gradient=0.3, bandwidth_by_light=True)
     (row,) = [row for row in rows_of(planned) if row["part"] == "uneven light"]
     assert row["left_out"] == "visible only if bandwidth falls with light"
-
-
-def test_a_scene_that_cannot_be_built_has_no_parts() -> None:
-    """Assert that asking for the parts of what cannot be simulated is refused with the scene's name."""
-    planned = first_plan("slip")
-    vanishing = VanishingDots(dots=((50, 50),), at_s=1.0)
-    with pytest.raises(SceneError, match="slip: cannot be simulated.*vanishing_dots"):
-        rows_of(replace(planned, scene=replace(planned.scene, vanishing_dots=vanishing)))

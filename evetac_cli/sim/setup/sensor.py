@@ -248,14 +248,4 @@ class Sensor(Table):
         return Sensitivity(ratio, self.shear_modulus_pa)
 
 
-@dataclass(frozen=True, kw_only=True)
-class SensorFile(Sensor):
-    """A file of --sensor: a sensor and the keys that only a file has."""
-
-    #: name of the sensor in recordings
-    name: Annotated[str, Meta(max_length=40, pattern=SENSOR_NAME)] | None = None
-    #: named sensor that supplies every key that the file leaves out
-    like: Annotated[str, Meta(max_length=40)] | None = None
-
-
 SensorRanges = Mapping[str, Any]  # the row `randomized` of sensors.toml, from which a sensor is sampled

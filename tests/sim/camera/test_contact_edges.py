@@ -184,13 +184,6 @@ def test_pixels_that_are_left_out_would_not_have_fired(speed: float) -> None:
         np.testing.assert_array_equal(getattr(few, name), getattr(every, name))
 
 
-def test_one_event_a_pixel_and_scan() -> None:
-    """Assert that dots, texture, rim and cut edge in one pixel still make at most one event a scan."""
-    result = play(start(slide), slide, 24)
-    columns = np.stack([result.t, result.x, result.y], axis=1)
-    assert len(np.unique(columns, axis=0)) == result.size > 2000
-
-
 def test_still_lines_are_silent() -> None:
     """Assert that lines that rest make no event, not even when a dot moves far from them or the camera is new."""
 
@@ -201,28 +194,6 @@ def test_still_lines_are_silent() -> None:
     assert play(state, motion, 5).size == 0
     assert state.contact_edges is not None
     assert state.contact_edges.events == 0
-
-
-def test_dots_under_a_still_line() -> None:
-    """Assert that dots under a line that rests make the very events they make without it."""
-
-    def under(t_ms: float) -> tuple[NDArray[np.float64], NDArray[np.float64], EdgePlace]:
-        return DOTS + [0.6 * t_ms, 0.2 * t_ms], np.zeros(2), place(50.0, 45.0)
-
-    with_lines, without = start(under, window=False), start(under, window=False)
-    without.contact_edges = None
-    events = []
-    for state in (with_lines, without):
-        rng, where = np.random.default_rng(1), under(0)[2]
-        places = () if state.contact_edges is None else (None, where, where)
-        parts = [
-            camera.step(state, SliceMotion(under(k)[0], under(k + 1)[0], STILL, STILL, 0.0, *places), 1000 * k, rng)
-            for k in range(10)
-        ]
-        events.append(concatenate(parts))
-    assert events[0].size > 1000
-    for a, b in zip(*events, strict=True):
-        np.testing.assert_array_equal(a, b)
 
 
 def test_cut_edge_shows_on_both_sides() -> None:
@@ -283,16 +254,6 @@ def test_ellipse_is_phi_of_the_depth() -> None:
     ring = contact_edges.ellipse((260.0, 150.0), level, 8.0, 40.0).picture
     across = ring[ring.shape[0] // 2]
     assert np.count_nonzero(np.diff(across > 0.49 * level)) == 4
-
-
-def test_outline_moves_with_its_place() -> None:
-    """Assert that rows of an outline shifted by whole pixels are its picture times the strength, and 0 beyond it."""
-    rows, columns = FINGER.picture.shape
-    line = np.full(200, 7.0, np.float32)
-    contact_edges.sample_row(FINGER.picture, 30.0, 20.0, 0.5, 20 + rows // 2, 10, 210, line)
-    np.testing.assert_array_equal(line[20 : 20 + columns - 1], 0.5 * FINGER.picture[rows // 2, :-1])
-    assert not line[:20].any()
-    assert not line[20 + columns :].any()
 
 
 @pytest.mark.parametrize("change", [(0.0, 0.0), (0.7, 0.3), (-2.6, 1.9), (9.0, -14.0)])

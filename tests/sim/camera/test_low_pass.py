@@ -202,24 +202,3 @@ def test_bandwidth_by_light_delays_dark_dots_and_dark_corners() -> None:
     behind_us = late_us["by light"][0] - late_us["all alike"][0]
     assert behind_us == pytest.approx(tau_us(500.0) * (1 / rim_bandwidth(1.61) - 1), rel=0.25)
     assert late_us["uneven"][1] > late_us["by light"][1] + 0.3 * tau_us(500.0)
-
-
-def test_a_sensor_with_a_bandwidth_sees_less_and_later() -> None:
-    """Assert that a sensor's bandwidth_hz delays what the eye sees, leaves the truth alone, and that 0 is none."""
-    sensor = replace(one_sensor("evetac"), noise_hz=0.0, hot_pixels=0)
-    made = {}
-    for bandwidth_hz in (None, 0.0, 100.0):
-        named = sensor if bandwidth_hz is None else replace(sensor, bandwidth_hz=bandwidth_hz)
-        seen_by = gel_camera(named, cut=False)
-        shift_m = np.zeros_like(seen_by.rest_m)
-        slices = []
-        for k in range(30):
-            shift_m = shift_m + [2e-5, 0.0] if k < 3 else shift_m
-            slices.append(seen_by.render(shift_m, np.zeros(2), 0.0, k * 1000))
-        assert seen_by.dot_xy_px == pytest.approx(seen_by.grid_xy_px.reshape(-1, 2) + [6e-2 / seen_by.mm_per_px, 0.0])
-        made[bandwidth_hz] = slices
-    times = {key: concatenate(slices) for key, slices in made.items()}
-    assert all((one == other).all() for one, other in zip(times[None], times[0.0], strict=True))
-    assert times[100.0].size == pytest.approx(times[None].size, rel=0.1)
-    assert np.median(times[100.0].t) - np.median(times[None].t) == pytest.approx(tau_us(100.0), rel=0.3)
-    assert made[100.0][-1].size == 0

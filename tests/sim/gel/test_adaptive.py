@@ -95,18 +95,3 @@ def test_constant_friction_keeps_every_coefficient() -> None:
     for run in runs[1:]:
         assert (run.displacement_m == runs[0].displacement_m).all()
         assert (run.pose == runs[0].pose).all()
-
-
-def test_each_step_is_reported() -> None:
-    """Assert that the steps that are reported make up the slice, in time and in what slid."""
-    state, shares = cylinder()
-    stepper = Stepper(Solver())
-    for number in range(215):
-        reported: list[tuple[gel.StepInfo, float]] = []
-        force_n = (2.0 - 9e-3 * number, 2.0 - 9e-3 * (number + 1))
-        done = stepper.advance(
-            state, shares, force_n, WEIGHT_N, FRICTION, each=lambda info, dt_s, to=reported: to.append((info, dt_s))
-        )
-        assert sum(dt_s for _, dt_s in reported) == pytest.approx(1e-3, rel=1e-12)
-        assert done.slip_m[0] == pytest.approx(sum(dt_s * info.slip_velocity_m_s[0] for info, dt_s in reported))
-        assert done.error_m == max(info.error_m for info, _ in reported)

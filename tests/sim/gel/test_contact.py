@@ -66,19 +66,6 @@ def test_a_surface_at_a_place_is_that_seen_from_there():
         np.testing.assert_allclose(found, np.where(ended, np.inf, wanted), rtol=1e-12, atol=1e-18)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"radius_m": 0.0},
-        {"radius_m": np.nan},
-    ],
-)
-def test_gap_refuses_nonsense(changes):
-    """Assert that a radius that is not positive and finite is refused."""
-    with pytest.raises(ValueError, match="found"):
-        gap_profile(**({"node_xy_m": pad(), "shape": "sphere", "radius_m": 0.01} | changes))
-
-
 def test_flat_punch_is_exact():
     """Assert that a flat punch follows N = E/H A d, and its closing 2 d + N / stiffness, at every entry."""
     nodes = pad()
@@ -131,20 +118,30 @@ def test_curve_ends_where_asked_or_with_the_gel():
     assert (np.diff(flat.force_n) > 0).all()
 
 
-@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
-@pytest.mark.parametrize("place", range(5))
-def test_force_curve_refuses_nonsense(place, value):
-    """Assert that every constant has to be finite and positive."""
-    constants = [1e-6, MODULUS_PA, HEIGHT_M, FINGER_N_M, TICK_M]
-    constants[place] = value
-    with pytest.raises(ValueError, match="expected above 0"):
-        force_curve(gaps_of(np.zeros((2, 2, 1))), *constants)
+CONSTANTS = (1e-6, MODULUS_PA, HEIGHT_M, FINGER_N_M, TICK_M)
+REFUSED = [
+    *(({"radius_m": value}, "found") for value in (0.0, np.nan)),
+    *(
+        ({"constants": (*CONSTANTS[:k], value, *CONSTANTS[k + 1 :])}, "above 0")
+        for k in range(5)
+        for value in (0.0, np.inf)
+    ),
+    ({"constants": CONSTANTS, "step_ticks": 1e4, "reach_ticks": 1e5}, "step_ticks"),
+    *(({"pressed": values}, "finite") for values in ((np.nan, 1.0), (1e-4, np.nan), (1e-4, -1.0), (np.inf, 1.0))),
+]
 
 
-def test_force_curve_needs_room_for_one_step():
-    """Assert that a table of a single entry is refused."""
-    with pytest.raises(ValueError, match="step_ticks"):
-        curve_of(gaps_of(np.zeros((2, 2, 1))), 1e-6, step_ticks=1e4, reach_ticks=1e5)
+@pytest.mark.parametrize(("given", "named"), REFUSED)
+def test_refusals(given, named):
+    """Assert that radii, constants, forces and tables of a single entry that make no sense are refused."""
+    even, given = gaps_of(np.zeros((2, 2, 1))), dict(given)
+    with pytest.raises(ValueError, match=named):
+        if "radius_m" in given:
+            gap_profile(pad(), "sphere", given["radius_m"])
+        elif "pressed" in given:
+            pressure(given["pressed"][0], even, given["pressed"][1])
+        else:
+            force_curve(even, *given.pop("constants"), **given)
 
 
 def test_lookup_is_linear_and_clamped():
@@ -182,13 +179,6 @@ def test_pressure_without_indentation_is_zero():
     assert not pressure(0.0, gap, 1.0).any()
     assert not pressure(-1e-3, gap, 1.0).any()
     assert not pressure(1e-4, gap, 0.0).any()
-
-
-@pytest.mark.parametrize("values", [(np.nan, 1.0), (1e-4, np.nan), (1e-4, -1.0), (np.inf, 1.0), (1e-4, np.inf)])
-def test_pressure_refuses_nonsense(values):
-    """Assert that values that are not finite, and negative totals, are refused."""
-    with pytest.raises(ValueError, match="finite"):
-        pressure(values[0], gaps_of(np.zeros((2, 2, 1))), values[1])
 
 
 def test_turning_arm_of_a_disc_and_of_one_node():

@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 
 from evetac_cli.devices.simulated import rig
-from evetac_cli.errors import SceneError
 from evetac_cli.sim.scenes import gripped
 from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, GraspSimulation
 from evetac_cli.sim.scenes.hand import jerk_m_s
@@ -123,13 +122,6 @@ def test_one_gear_friction() -> None:
     assert strong.drive.friction_n == pytest.approx(2 * weak.drive.friction_n, rel=1e-12)
 
 
-def test_backlash_reaches_the_gripper() -> None:
-    """Assert that the encoder of a held object reads half the backlash further closed, with the same force."""
-    plain, loose = held(), held({"gripper": {"backlash_ticks": 4.0}})
-    assert loose.finger.position_ticks - plain.finger.position_ticks == 2
-    assert loose.finger.force_n == plain.finger.force_n
-
-
 def test_commands_that_come_late() -> None:
     """Assert that a command given with a delay of 7 ms does what the same does that is given 7 ms later."""
     late, plain = held({"gripper": {"command_delay_ms": 7.0}}), held()
@@ -214,13 +206,6 @@ def test_dots_that_vanish(bandwidth_hz: float) -> None:
         assert sum(count for count, _ in near(plain, dot)[301:]) > 0
     other = 3 * 8 + 5
     assert sum(count for count, _ in near(events, other)[301:]) > 0
-
-
-def test_what_cannot_be_is_said() -> None:
-    """Assert that a dot that is not there is refused in words."""
-    odd = quiet_plan("slip", {"vanishing_dots": {"dots": [[7, 0]], "at_s": 0.3}})
-    with pytest.raises(SceneError, match=r"vanishing_dots.*rows 0 to 6"):
-        rig(odd, np.random.SeedSequence(0))
 
 
 @pytest.mark.slow

@@ -11,8 +11,6 @@ import pytest
 from numpy.typing import NDArray
 
 from evetac_cli.commands.record import Record
-from evetac_cli.errors import SceneError
-from evetac_cli.evaluate import paper
 from evetac_cli.evaluate.stability.extreme_scenes import merge
 from evetac_cli.events import concatenate
 from evetac_cli.resources import SCENES
@@ -90,43 +88,6 @@ def test_table_carries_the_object() -> None:
     assert gaps.min() >= -1e-9
     assert np.abs(gaps[:1999]).max() < 1e-9
     assert max(abs(row["truth/object_xy_px"][0]) for row in rows[:1999]) == 0  # type: ignore[index]
-
-
-def test_hand_rises_by_the_height_of_the_scene() -> None:
-    """Assert that the table sinks by 100 mm in the gripper's frame, at 20 mm/s at most."""
-    grasp = world(11, name="lift")
-    hand, speeds = grasp._hand, []
-    for k in range(14000):
-        hand.accelerate(k)
-        speeds.append(hand.speed_m_s)
-    assert max(speeds) == pytest.approx(0.02)
-    assert sum(speeds) * 1e-3 == pytest.approx(0.1, rel=1e-3)
-
-
-def test_seeds_are_enough() -> None:
-    """Assert that the same seed gives the same events and truth, and another seed others."""
-    same = [world(8, seed=3).step() for _ in range(2)]
-    assert same[0].t.tolist() == same[1].t.tolist()
-    assert same[0].x.tolist() == same[1].x.tolist()
-    assert world(8, seed=3).sampled != world(8, seed=4).sampled
-
-
-def test_window_dots_do_not_exist() -> None:
-    """Assert that the cut gel keeps 7 rows of 8 dots, all outside the window."""
-    sensor = one_sensor("evetac")
-    grid = dot_grid(sensor, cut=True)
-    assert grid.shape == (7, 8, 2)
-    assert grid[..., 0].max() < sensor.window_px[0]
-
-
-def test_scene_of_the_wrong_kind_is_refused() -> None:
-    """Assert that a lift scene cannot be recorded as a ramp, nor a press with virtual devices, which say what can."""
-    with pytest.raises(SceneError, match="another command"):
-        first_plan("lift", kinds=("ramp",))
-    with pytest.raises(
-        SceneError, match=r"virtual devices cannot show this scene(.|\n)*record --scene press simulates"
-    ):
-        first_plan("press", kinds=("ramp", "hold"))
 
 
 @pytest.mark.parametrize("creep", [None, GelCreep(share=(0.05, 0.1), time_s=(0.003, 5.0))])
@@ -299,19 +260,6 @@ def test_data_rate_about_slip(tmp_path: Path) -> None:
     assert x_mm[-1] == x_mm[-50]
     assert np.isnan(target_ma[-1])
     assert abs(place[-1] - place[0]) <= 2 < 50 < place.max() - place[0]  # the gear holds within two ticks of a goal
-
-
-@pytest.mark.slow
-def test_data_rates_are_about_the_papers(tmp_path: Path) -> None:
-    """Assert that the paper's heaviest object makes between half and twice its events in all three intervals."""
-    recipe = Record(scene="data-rate", objects="18", count=5)
-    measured = []
-    for job in record.jobs([], recipe, tmp_path):
-        record.run(job, recipe)
-        measured.append(ratios(job.output)[:3])
-    for interval, mean in zip(("whole", "contact", "slip"), np.mean(measured, axis=0), strict=True):
-        of_paper = paper.FIGURES["data rate", interval].value
-        assert of_paper / 2 < mean < 2 * of_paper, interval
 
 
 @pytest.mark.parametrize("sensor", ["evetac", "randomized:3"])

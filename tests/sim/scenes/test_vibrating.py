@@ -1,6 +1,5 @@
 """A speaker on the gel: its waves, the layer's answer, what the dots do, and what a recording of it holds."""
 
-import json
 import math
 import tomllib
 from pathlib import Path
@@ -19,10 +18,9 @@ from evetac_cli.inspect import validate
 from evetac_cli.resources import SCENES
 from evetac_cli.sim.gel.gel import GelMaterial
 from evetac_cli.sim.scenes.vibrating import ORDERS, Drift, Vibration, pressed_by_disc, resonance, waves
-from evetac_cli.sim.setup.plan import first_plan, tones_hz
+from evetac_cli.sim.setup.plan import first_plan
 from evetac_cli.text_files import as_toml
 from evetac_cli.trials import record
-from tests.make import play_trial
 
 PURE = {"second_harmonic_least": [0.0] * 5, "second_harmonic_most": [0.0] * 5, "modulation_most": [0.0] * 5}
 SHORT = {"rest_s": 0.01, "tone_at_s": 0.05, "after_s": 0.02}
@@ -160,38 +158,6 @@ def test_silence_tone_silence(tmp_path: Path) -> None:
     assert not pulled[:50].any() and 0.01 < np.abs(pulled[70:130]).max() < 2.5
 
 
-@pytest.mark.slow
-def test_drawn_from_the_seed(tmp_path: Path) -> None:
-    """Assert that a seed gives one and the same recording, and another seed or tone another one."""
-    name = changed(tmp_path, {"tone_s": 0.05})
-
-    def content(**named: Any) -> tuple[str, bytes]:
-        trial = vibration(name, **named)
-        events = play_trial(trial)[1]
-        return trial.sampled.as_json(), b"".join(column.tobytes() for part in events for column in part)
-
-    first = content(hz=300)
-    assert content(hz=300) == first
-    others = (
-        content(hz=300, seed=1),
-        content(hz=301),
-        content(hz=300, sensor="second"),
-        content(hz=300, gel="cut"),
-    )
-    assert len({first, *others}) == 5
-    assert all(0.2 <= json.loads(samples)["tangential_share"] <= 0.6 for samples, _ in others)
-
-
-def test_events_beat_at_the_tone(tmp_path: Path) -> None:
-    """Assert that the strongest line above 25 Hz in the events a slice is the tone's, without modulation."""
-    name = changed(tmp_path, {"tone_s": 0.55}, dot_motion_px=[0.3] * 5, modulation_most=[0.0] * 5)
-    trial = vibration(name, 300)
-    counts = np.array([trial.step().size for _ in range(580)])[80:]
-    spectrum = np.abs(np.fft.rfft(counts - counts.mean()))
-    spectrum[: 25 // 2] = 0.0
-    assert abs(np.argmax(spectrum) * 2 - 300) <= 2
-
-
 @pytest.mark.parametrize("hz", [100, 200, 300, 400, 498])
 def test_the_scene_is_felt_at_few_events(hz: int, tmp_path: Path) -> None:
     """Assert that the shipped scene's tones, at the middle of their ranges, lead at 1,500 events a slice or fewer."""
@@ -209,13 +175,6 @@ def test_the_scene_is_felt_at_few_events(hz: int, tmp_path: Path) -> None:
     amplitude = np.abs(np.fft.rfft(counts - counts.mean()))
     amplitude[: math.ceil(25 * 0.3)] = 0.0
     assert abs(np.argmax(amplitude) / 0.3 - hz) < 1 / 0.3  # frequencies are 3.3 Hz apart
-
-
-@pytest.mark.parametrize("tones", ["", "x", "0", "2501", "nan", "200,,300", "-5"])
-def test_no_tone_is_refused(tones: str) -> None:
-    """Assert that what is no list of tones from 1 to 2500 Hz is refused."""
-    with pytest.raises(InputError, match="--tone"):
-        tones_hz(tones)
 
 
 def test_a_recording_a_tone(tmp_path: Path) -> None:

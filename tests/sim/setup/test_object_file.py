@@ -89,12 +89,6 @@ def test_the_name_of_the_file_does_not_count(tmp_path: Path, short_scene: Path) 
     assert ids[0] == ids[1] != ids[2]
 
 
-def test_numbers_are_what_they_were(short_scene: Path) -> None:
-    """Assert that the table's objects keep their seeds: a number stands for itself."""
-    assert [object_file.seed_of(called) for called in (8, 20, None)] == [8, 20, 0]
-    assert object_file.seed_of("own-object") == object_file.seed_of("own-object") != object_file.seed_of("tin")
-
-
 def test_kinetic_share_of_the_object_holds(tmp_path: Path, short_scene: Path) -> None:
     """Assert that a kinetic share in the file takes the place of the scene's, and that a sensor's own comes first."""
     sensor_file = tmp_path / "mine.sensor.toml"
@@ -133,27 +127,6 @@ def test_a_touch_sensor_takes_the_same_keys() -> None:
     for given in (whole, CAN, {key: np.float64(value) if key != "shape" else value for key, value in CAN.items()}):
         sensor = evetac.TouchSensor(object=given, rng=np.random.default_rng(0), solver=COARSE)
         assert len(sensor.step(0.002, normal_n=1.0).slices) == 2
-
-
-def test_a_touch_sensor_takes_the_file(tmp_path: Path) -> None:
-    """Assert that a file and its keys feel alike."""
-    touched_px = []
-    for given in (written(tmp_path), str(written(tmp_path)), CAN):
-        sensor = evetac.TouchSensor(object=given, rng=np.random.default_rng(0), solver=COARSE)
-        touched_px.append(sensor.step(0.005, normal_n=2.0, shear_n=(0.2, 0.0)).dot_xy_px)
-    assert np.array_equal(touched_px[0], touched_px[1]) and np.array_equal(touched_px[0], touched_px[2])
-
-
-@pytest.mark.slow
-def test_the_environment_takes_it(tmp_path: Path) -> None:
-    """Assert that Lift-v0 draws among numbers and files, and that one is chosen by its name."""
-    pytest.importorskip("gymnasium")
-    from evetac_cli.gym import LiftEnv
-
-    env = LiftEnv(f"8,{written(tmp_path, name='tin', mass_g=60)}", balance_s=0.1)
-    _, info = env.reset(seed=0, options={"object": "tin"})
-    assert info["object"] == "tin"
-    assert {env.reset(seed=seed)[1]["object"] for seed in range(4)} == {8, "tin"}
 
 
 def test_the_docs_list_every_key_with_its_range(tmp_path: Path) -> None:

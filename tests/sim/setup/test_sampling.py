@@ -13,7 +13,6 @@ from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.sim.setup.sensor import GelFriction, Sensor, SensorGripper
 from evetac_cli.sim.setup.sensor_rows import rows
-from evetac_cli.sim.setup.tables import as_table
 
 SLIP = scene_file.load("slip")
 EVETAC = one_sensor("evetac")
@@ -150,68 +149,6 @@ def test_a_range_more_leaves_the_others() -> None:
     assert replace(more, leak_hz=sensor.leak_hz) == sensor
 
 
-def test_values_of_a_numbered_sensor() -> None:
-    """Assert the values of `randomized-narrow:7`, literally: a range renamed or moved must not change them."""
-    row = as_table(one_sensor("randomized-narrow:7"))
-    named = rows()["randomized-narrow"]
-    sampled = {key: value for key, value in row.items() if value != named.get(key)}
-    assert sampled.pop("friction") == pytest.approx(
-        {"memory_um": 26.935956103316954, "patch_spread": 0.09118190490802094, "patch_mm": 3.5271174655045945},
-        rel=1e-12,
-    )
-    creep = sampled.pop("creep")
-    assert creep["share"] == pytest.approx([0.015570583720719223, 0.09686443855649254], rel=1e-12)
-    assert creep["time_s"] == pytest.approx([0.1322933861736595, 3.040662498108101], rel=1e-12)
-    assert sampled.pop("hot_pixel_hz") == pytest.approx([20.0, 105.93414773668182, 425.88473551868503], rel=1e-12)
-    assert sampled.pop("distortion") == pytest.approx([0.001727296574744193, 0.0], rel=1e-12)
-    gripper = sampled.pop("gripper")
-    assert sampled.pop("dot_columns_px")[0] == pytest.approx(57.554833034271525, rel=1e-12)
-    assert sampled.pop("dot_rows_px")[0] == pytest.approx(41.931674305398644, rel=1e-12)
-    assert sampled == pytest.approx(
-        {
-            "seed": 1135786716,
-            "mm_per_px": 0.029849046368607003,
-            "dot_jitter_px": 0.8007113132505987,
-            "turned_deg": -1.1310324689741003,
-            "dot_radius_px": 14.10598696222558,
-            "cut_contrast": 0.2846088551254638,
-            "cut_width_px": 3.970351784474504,
-            "threshold": 0.28416834645490197,
-            "threshold_off": 0.29963972041622083,
-            "light_gradient": 0.06932127953201761,
-            "dot_radius_spread": 0.0374266380868261,
-            "dot_contrast_spread": 0.13309413880648266,
-            "mismatch": 0.028343196740357658,
-            "bandwidth_hz": 2749.9756706565354,
-            "edge_sigma_px": 1.2906444822641583,
-            "log_contrast": 1.443416314612619,
-            "noise_hz": 0.022163474266821383,
-            "hot_pixels": 285,
-            "shear_modulus_pa": 82038.36983750056,
-            "normal_modulus_pa": 567726.7415415061,
-            "loss_tangent": 0.0765259784987348,
-            "static_friction_factor": 1.0905716928675329,
-        },
-        rel=1e-12,
-    )
-    assert gripper == pytest.approx(
-        {
-            "force_per_current_n_ma": 0.37251177593649953,
-            "servo_n_tick": 1.809734846896674,
-            "two_ticks_n": 0.08304230899586414,
-            "friction_factor": 0.8946782854338696,
-            "finger_stiffness_n_m": 1926.7359681353596,
-            "damping_n_s_m": 194.0426629453903,
-            "mass_kg": 2.696183667826014,
-            "backlash_ticks": 0.9480911975749566,
-            "encoder_noise_ticks": 0.3590156606361019,
-            "command_delay_ms": 7.103874839772883,
-            "command_jitter_ms": 3.3493274634017474,
-        },
-        rel=1e-12,
-    )
-
-
 def test_a_range_of_another_name_has_the_same_values() -> None:
     """Assert that neither the key nor the table of a range plays a part in what is sampled from it."""
     ranges = copy.deepcopy(dict(rows()["randomized"]))
@@ -223,15 +160,6 @@ def test_a_range_of_another_name_has_the_same_values() -> None:
     moved = {"leak_hz": sensor.mismatch, "friction": replace(sensor.friction, stribeck_mm_s=sensor.gripper.mass_kg)}
     without = {"mismatch": 0.05, "gripper": replace(sensor.gripper, mass_kg=None)}
     assert renamed == replace(sensor, **moved, **without)
-
-
-def test_a_list_may_hold_ranges() -> None:
-    """Assert that ranges in a list are sampled, each from its own stream."""
-    ranges = dict(rows()["randomized"])
-    ranges["creep"] = {"share": [{"uniform": [0.0, 0.1], "stream": 5}, 0.02], "time_s": [0.3, 5.0]}
-    creep = sampling.sample_sensor(ranges, random(3)).creep
-    assert 0.0 <= creep.share[0] <= 0.1
-    assert creep.share[1] == 0.02
 
 
 def test_faults_of_a_gripper() -> None:

@@ -14,7 +14,6 @@ from evetac_cli.kernels.calibration import grid
 from evetac_cli.resources import table
 from evetac_cli.sim.camera.gel_camera import Lens, dot_grid
 from evetac_cli.sim.setup.plan import one_sensor
-from evetac_cli.sim.setup.sampling import sample_sensor
 from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL, over, rows, whole
 
 TABLE = {
@@ -99,17 +98,6 @@ def test_the_wide_ranges_hold_the_narrow_ones_and_all_named_sensors() -> None:
         assert low <= sensor.distortion[0] <= high, name
         ((_, (low, high), _),) = limits(ranges["edge_sigma_px"])
         assert low <= sensor.edge_sigma_px <= high, name
-
-
-def test_a_number_is_the_same_sensor_but_for_what_is_wider() -> None:
-    """Assert that the seventh sensor of both rows differs in the widened keys alone."""
-    wide, narrow = (sample_sensor(rows()[name], np.random.default_rng(7)) for name in FOR_EACH_TRIAL)
-    changed = {key for key in vars(wide) if getattr(wide, key) != getattr(narrow, key)}
-    named = set(table("sensors")["randomized"]) - {"like"}
-    assert changed == named
-    assert {key for key in vars(wide.friction) if getattr(wide.friction, key) != getattr(narrow.friction, key)} == {
-        "memory_um"
-    }
 
 
 def test_the_grid_of_the_authors_calibration(outside_file: Callable[[str], Path]) -> None:

@@ -189,74 +189,6 @@ def test_expected_count_from_random_phase() -> None:
     assert result == pytest.approx(expected, rel=0.03)
 
 
-@pytest.mark.parametrize(
-    ("speed", "at_rest", "random"), [(0.05, 247, 295), (0.5, 381, 386), (2.0, 314, 316)], ids=["creep", "slip", "fall"]
-)
-def test_yardsticks(speed: float, at_rest: float, random: float) -> None:
-    """Assert the known events per px and dot over 20 ms, 63 dots, C 0.2, r 15, within 2 %.
-
-    They were taken with every reference at its level (`at_rest`), so that no pixel fires before a whole threshold. From
-    random phases the first px of a creep gives 295, a fifth more; over 10 px and more the start is forgotten.
-    """
-    xy = np.array([[70 + 62.5 * column, 45 + 62.5 * row] for row in range(7) for column in range(9)])
-    model = CameraModel(noise_rate_hz=0.0, hot_pixels=0)
-
-    def path(t_ms: float) -> NDArray[np.float64]:
-        return xy + [speed * min(t_ms, 20), 0.0]
-
-    for per_px, phase in ((at_rest, False), (random, True)):
-        state = start(xy, model)
-        if not phase:
-            state.reference[:] = optics.gel_level(model.frame_px, xy, state.profile)
-        assert total(play(state, path, 21)) / 63 / (20 * speed) == pytest.approx(per_px, rel=0.02)
-
-
-def test_times_follow_the_readout_of_columns() -> None:
-    """Assert times that follow the readout of columns, and one event a pixel and scan."""
-    t0_us = 7_000_000_000_000
-    state = start([[40.0, 40.0]])
-    events = camera.step(
-        state, SliceMotion([[40.0, 40.0]], [[48.0, 44.0]], STILL, STILL, 0.0), t0_us, np.random.default_rng(0)
-    )
-    in_slice = events.t - t0_us
-    scan = in_slice // 200
-    np.testing.assert_array_equal(in_slice, 200 * scan + events.x.astype(np.int64) * 200 // FRAME[0])
-    assert set(scan.tolist()) == {1, 2, 3, 4}  # scan 0 holds the picture the slice starts with
-    pixel_scans = np.stack([scan, events.x, events.y], axis=1)
-    assert len(np.unique(pixel_scans, axis=0)) == events.size > 1000
-    assert (
-        camera.step(
-            state, SliceMotion([[48.0, 44.0]], [[48.0, 44.0]], STILL, STILL, 0.0), t0_us, np.random.default_rng(0)
-        ).size
-        > 0
-    )
-
-
-def test_moves_are_cut_anyhow() -> None:
-    """Assert that 5 scans over one slice see what 1 scan a slice sees over five."""
-    path, slower = line([40.0, 40.0], (1.5, 0.5)), dataclasses.replace(QUIET, scans_per_ms=1)
-    five = play(start([[40.0, 40.0]]), path, 4)
-    one = play(start([[40.0, 40.0]], slower), lambda t_ms: path(t_ms / 5), 20)
-    key = [
-        sorted(zip(*(np.concatenate([part[i] for part in parts]) for i in (1, 2, 3)), strict=True))
-        for parts in (five, one)
-    ]
-    assert key[0] == key[1]
-
-
-def test_mirror_image() -> None:
-    """Assert that motion mirrored left to right, with mirrored thresholds and phases, gives mirrored events."""
-    xy, velocity = np.array([[40.25, 30.5], [63.0, 55.25]]), np.array([0.5, 0.25])
-    plain, mirrored = start(xy), start(mirror := np.array([FRAME[0] - 1, 0]) + xy * [-1, 1])
-    mirrored.reference[:], mirrored.threshold[:] = plain.reference[:, ::-1], plain.threshold[:, ::-1]
-    a = play(plain, line(xy, velocity), 10)
-    b = play(mirrored, line(mirror, velocity * [-1, 1]), 10)
-    for left, right in zip(a, b, strict=True):
-        assert sorted(zip(left.x, left.y, left.p, strict=True)) == sorted(
-            zip(FRAME[0] - 1 - right.x.astype(int), right.y, right.p, strict=True)
-        )
-
-
 def test_thresholds_and_phases() -> None:
     """Assert thresholds of the asked mean and spread, never below a quarter, and phases uniform within them."""
     model = CameraModel(threshold=0.2, mismatch=0.03)
@@ -320,78 +252,6 @@ def test_sleep_may_be_forgotten(leak_hz: float, refractory_us: float) -> None:
     np.testing.assert_array_equal(states[0].window_reference, states[1].window_reference)
 
 
-def test_slices_at_rest_may_be_scanned(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that slices which are not scanned, as nothing moves far enough to be compared, would change nothing."""
-    rests, left_out = camera.rests, []
-
-    def creeps_and_moves(t_ms: float) -> NDArray[np.float64]:
-        creeping, moving = min(t_ms % 100.0, 60.0), max(t_ms % 100.0 - 60.0, 0.0) + 40.0 * (t_ms // 100.0)
-        return np.array([[20.0, 30.0], [45.0, 50.0]]) + 0.0003 * creeping + 0.02 * moving
-
-    def counted(*given: Any) -> bool:
-        left_out.append(bool(rests(*given)))
-        return left_out[-1]
-
-    quick, plain = (start([[20.0, 30.0], [45.0, 50.0]]) for _ in range(2))
-    monkeypatch.setattr(camera, "rests", counted)
-    seen = play(quick, creeps_and_moves, 300)
-    monkeypatch.setattr(camera, "rests", lambda *_: False)
-    expected = play(plain, creeps_and_moves, 300)
-    assert 50 < sum(left_out) < 250
-    assert sum(events.size for events in seen) > 100
-    for events, others in zip(seen, expected, strict=True):
-        assert all(np.array_equal(column, other) for column, other in zip(events, others, strict=True))
-    assert np.array_equal(quick.reference, plain.reference)
-    assert np.array_equal(quick.seen_dot_xy_px, plain.seen_dot_xy_px)
-
-
-def test_texture_density() -> None:
-    """Assert 100-250 events per px of slide for a strip of 100 x 480 px, sd 0.06, half-correlation 12 px."""
-    model = CameraModel(noise_rate_hz=0.0, hot_pixels=0)
-    pattern = optics.texture(np.random.default_rng(1), (512, 1024), 12.0, 0.06)
-    state = start(np.empty((0, 2)), model, window=(540, 0, 640, 480), texture=pattern)
-    slide(state, (1.0, 0.0), 20)
-    later = [
-        camera.step(state, SliceMotion([], [], (k, 0), (k + 1, 0), 1.0), 0, np.random.default_rng(0))
-        for k in range(20, 60)
-    ]
-    assert 100 < total(later) / 40 < 250
-
-
-def test_background_noise() -> None:
-    """Assert a Poisson number of events of both polarities, evenly over frame and slice, sorted with the rest."""
-    model = CameraModel(noise_rate_hz=2.0, hot_pixels=0)
-    result = play(start([[300.0, 200.0]], model), line([300.0, 200.0], (0.0, 0.0)), 100)
-    counts = np.array([part.size for part in result])
-    mean = 2.0 * 640 * 480 * 1e-3
-    assert abs(counts.sum() - 100 * mean) < 4 * math.sqrt(100 * mean)
-    assert counts.var(ddof=1) == pytest.approx(mean, rel=0.6)  # 4 deviations of a variance from 100 counts
-    every = [np.concatenate([part[i] for part in result]).astype(float) for i in range(4)]
-    every[0] %= 1000
-    for column, size in zip(every, (1000, 640, 480, 2), strict=True):
-        # Mean of a uniform number: standard deviation size / sqrt(12 n), for p size / sqrt(4 n).
-        assert abs(column.mean() - (size - 1) / 2) < 4 * size / math.sqrt(4 * counts.sum())
-        assert 0 <= column.min() <= column.max() <= size - 1
-    for k, part in enumerate(result):
-        assert (np.diff(part.t) >= 0).all()
-        assert (part.t // 1000 == k).all()
-
-
-def test_hot_pixels() -> None:
-    """Assert that hot pixels fire where they were placed, each at its own rate within the range, and nowhere else."""
-    model = CameraModel(noise_rate_hz=0.0, hot_pixels=12, hot_rate_hz=(20.0, 200.0))
-    state = start([], model)
-    rate_hz = np.diff(state.hot_cumulative_hz)
-    assert len(set(state.hot_pixel.tolist())) == 12
-    assert ((rate_hz >= 20) & (rate_hz <= 200)).all()
-    rng = np.random.default_rng(2)
-    result = [camera.step(state, SliceMotion([], [], STILL, STILL, 0.0), 1000 * k, rng) for k in range(4000)]
-    pixel = np.concatenate([part.y.astype(np.int64) * 640 + part.x for part in result])
-    counts = np.array([np.count_nonzero(pixel == hot) for hot in state.hot_pixel])
-    assert counts.sum() == pixel.size
-    assert (np.abs(counts - 4 * rate_hz) < 4.5 * np.sqrt(4 * rate_hz)).all()
-
-
 def test_noise_leaves_the_picture_alone() -> None:
     """Assert that noise only adds events: those of the moving dot are the same with it and without."""
     noisy = dataclasses.replace(QUIET, noise_rate_hz=50.0, hot_pixels=5)
@@ -412,15 +272,6 @@ def test_noise_counts_towards_the_limit() -> None:
     assert state.dropped + 50 == pytest.approx(8000, abs=4 * math.sqrt(8000))
 
 
-def test_dot_leaves_the_frame() -> None:
-    """Assert that a dot that leaves lets every pixel return to within a threshold of bare gel."""
-    state = start([[80.0, 60.0]])
-    result = play(state, line([80.0, 60.0], (4.0, 3.0)), 20)
-    assert total(result) > 1000
-    assert total(result[-3:]) == 0
-    assert (np.abs(state.reference) < state.threshold * (1 + 1e-6)).all()
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -438,26 +289,6 @@ def test_model_refuses(change: dict[str, Any]) -> None:
     """Assert that a model out of range is refused by the name of the field."""
     with pytest.raises(ValueError, match=next(iter(change))):
         CameraModel(**change)
-
-
-@pytest.mark.parametrize("refractory_us", [700.0, 2500.0])
-def test_refractory_time(refractory_us: float) -> None:
-    """Assert every pixel of every scan blind for a time after its event, then going on from the level it is shown."""
-    path, slices = line([[20.2, 40.7]], (2.1, 0.3)), 25
-    model = dataclasses.replace(QUIET, refractory_us=refractory_us)
-    state = start(path(0), model)
-    expected = every_pixel(state, path, slices, table_picture)
-    result = as_set(play(state, path, slices))
-    assert len(expected) > 500
-    assert result == expected
-    assert total(play(start(path(0)), path, slices)) > 1.2 * len(result)
-
-
-def test_short_refractory_time_is_free() -> None:
-    """Assert that a refractory time no longer than a scan changes nothing."""
-    path = line([[20.2, 40.7]], (2.1, 0.3))
-    short = play(start(path(0), dataclasses.replace(QUIET, refractory_us=200.0)), path, 10)
-    assert as_set(short) == as_set(play(start(path(0)), path, 10))
 
 
 LATCHED: dict[str, tuple[Callable[[float], float], float, float]] = {

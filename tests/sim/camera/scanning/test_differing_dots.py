@@ -75,18 +75,6 @@ def test_as_every_pixel_where_dots_come_after_each_other() -> None:
     assert made > 5000
 
 
-@pytest.mark.parametrize("speed", [0.01, 0.3])
-def test_as_every_pixel_of_dots_that_overlap(speed: float) -> None:
-    """Assert that of dots over each other the darkest counts."""
-
-    def path(t: float) -> Any:
-        return np.array([[40.0 + speed * t, 40.0], [52.0 - speed * t, 44.0]])
-
-    wrong, made = misfits(start(path(0)), path, 50)
-    assert wrong == 0
-    assert made > 50
-
-
 def test_equal_factors_are_dots_alike() -> None:
     """Assert that dots whose factors are all 1 make the events of dots that are alike."""
     alike = start(factors=None)

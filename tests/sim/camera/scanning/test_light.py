@@ -173,14 +173,6 @@ def test_a_step_fires_the_closed_share(share: float) -> None:
     assert sizes[4] == pytest.approx(expected, abs=4 * math.sqrt(120_000) / 2 if abs(share) < 2 else 0)
 
 
-def test_a_shallow_flicker_settles() -> None:
-    """Assert that a flicker of less than a threshold, peak to peak, is silent after its first period."""
-    state = start(LightChange(depth=0.08), dataclasses.replace(QUIET, mismatch=0.03), window=STRIP)
-    sizes = [part.size for part in stand(state, 100)]
-    assert sum(sizes[:10]) > 1000
-    assert sum(sizes[10:]) == 0
-
-
 def test_a_deep_flicker_fires_its_crossings() -> None:
     """Assert that each pixel reports the swing of every half period: floor(swing / threshold) events, one a slice."""
     depth = 0.3
@@ -193,21 +185,6 @@ def test_a_deep_flicker_fires_its_crossings() -> None:
     downs = sum(int((part.p == 0).sum()) for part in period) / (FRAME[0] * FRAME[1])
     assert ups == pytest.approx(downs, rel=0.01)
     assert 1.0 <= ups <= swing / 0.21
-
-
-def test_light_that_does_not_change_changes_nothing() -> None:
-    """Assert that a light of depth 0 and factor 1 gives the events of a camera without."""
-    at = walk(40, np.random.default_rng(2))
-    states = [start(change, dots=at[0]) for change in (None, LightChange())]
-    parts = [
-        [
-            camera.step(one, SliceMotion(at[k], at[k + 1], STILL, STILL, 0.0), 1000 * k, np.random.default_rng(k))
-            for k in range(40)
-        ]
-        for one in states
-    ]
-    assert listed(parts[0]) == listed(parts[1])
-    assert sum(part.size for part in parts[0]) > 100
 
 
 def events_of_the_same_pixels(change: LightChange, slices: int, warm_up: int) -> tuple[float, float]:
