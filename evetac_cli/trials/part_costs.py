@@ -52,9 +52,9 @@ class PartCosts:
         """Return the parts of the plan, with the cost of each built part or the saving of each omitted one.
 
         None if a part is not measured separately: it is then included in gel and friction, or cannot be switched. The
-        camera's time that its other parts do not explain is that of the dots.noise_us: a figure within
-        this of zero means nothing; None for a figure that is timed. No part saves time by being built, so a difference
-        below zero is noise.
+        camera's time that its other parts do not explain is that of the dots. A figure within `noise_us` of zero means
+        nothing; it is None for a figure that is timed. No part saves time by being built, so a difference below zero
+        is noise.
         """
         rows = [dict(row) for row in self.parts]
         names = [row["part"] for row in rows]

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from evetac_cli.commands.record import Record
+from evetac_cli.evaluate import paper
 from evetac_cli.evaluate.stability.extreme_scenes import merge
 from evetac_cli.events import concatenate
 from evetac_cli.resources import SCENES
@@ -260,6 +261,27 @@ def test_data_rate_about_slip(tmp_path: Path) -> None:
     assert x_mm[-1] == x_mm[-50]
     assert np.isnan(target_ma[-1])
     assert abs(place[-1] - place[0]) <= 2 < 50 < place.max() - place[0]  # the gear holds within two ticks of a goal
+
+
+@pytest.mark.slow
+def test_data_rates_are_about_the_papers(tmp_path: Path) -> None:
+    """Assert that the paper's heaviest object makes between half and twice its events in all three intervals."""
+    recipe = Record(scene="data-rate", objects="18", count=5)
+    measured = []
+    for job in record.jobs([], recipe, tmp_path):
+        record.run(job, recipe)
+        measured.append(ratios(job.output)[:3])
+    for interval, mean in zip(("whole", "contact", "slip"), np.mean(measured, axis=0), strict=True):
+        of_paper = paper.FIGURES["data rate", interval].value
+        assert of_paper / 2 < mean < 2 * of_paper, interval
+
+
+def test_window_dots_do_not_exist() -> None:
+    """Assert that the cut gel keeps 7 rows of 8 dots, all outside the window."""
+    sensor = one_sensor("evetac")
+    grid = dot_grid(sensor, cut=True)
+    assert grid.shape == (7, 8, 2)
+    assert grid[..., 0].max() < sensor.window_px[0]
 
 
 @pytest.mark.parametrize("sensor", ["evetac", "randomized:3"])
