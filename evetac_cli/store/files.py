@@ -188,8 +188,8 @@ def up_to_date(path: Path, recipe: Recipe, *, force: bool = False) -> bool:
     If it has anything else: InputError with the first difference, or False with `force`, to replace it. This is checked
     before any work is done, so that a refusal comes immediately and not after an hour, and again by `write_stage`.
 
-    Of a file with this recipe only the header is read, because whoever reads its contents checks them; with `force` the
-    whole file is checked, so that a damaged one is replaced.
+    Of a file with this recipe only the header is read, because its contents are checked when they are read; with
+    `force` the whole file is checked, so that a damaged one is replaced.
     """
     if os.path.isdir(path):
         raise InputError("the output is a folder", where=str(path))
