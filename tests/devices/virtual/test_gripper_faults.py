@@ -66,7 +66,8 @@ def test_m10_a_fault_strikes_when_it_is_asked_for(fault: str, moment: str) -> No
             while time.monotonic() < until_s:
                 cycles(driver, 1)
         assert gripper.faults_struck() == {fault: 1}
-        assert gripper.read_register("Torque Enable") == 0
+        if fault != "unplug":  # then the watchdog takes the current, see test_unplugging_is_said_and_stops_the_gripper
+            assert gripper.read_register("Torque Enable") == 0
 
 
 def cycles(driver: RhP12Rn, count: int) -> None:
