@@ -14,11 +14,12 @@ from typing import Any, BinaryIO
 
 from evetac_cli.errors import InputError, cannot_read, changed_meanwhile
 
-# A config file or scene has a few kB. tomllib takes up to 3 s and 1 GB for this size, and four times as much for twice.
-MOST_TOML_BYTES = 1 << 15
+MOST_TOML_BYTES = 1 << 18  # a scene has a few kB; the sensor file of a real camera with its hot pixels has 43 kB
+MOST_KEY_PARTS = 32  # of a dotted key: tomllib's memory grows with their square, 1 GB for 16,000
 MOST_JSON_BYTES = 1 << 22  # a calibration has 10 kB; this size is enough for ten thousand dots
 WHOLE_BITS = 64  # of a whole number, with its sign
 SEED_BITS = 129  # numpy's seeds in headers have up to 128 bits, and a sign
+_LONG_KEY = re.compile(rf"""(?:\.[ \t]*+(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+){{{MOST_KEY_PARTS}}}""")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 
 
@@ -98,6 +99,8 @@ def read_toml(path: Path, refusal: type[InputError] = InputError) -> dict[str, A
 
     try:
         text = read_text(path, MOST_TOML_BYTES)
+        if _LONG_KEY.search(text):
+            raise ValueError(f"a key of more than {MOST_KEY_PARTS} parts")
         table = tomllib.loads(text, parse_float=lambda number: plain_number(float(number)))
     except RecursionError:
         raise refusal("nested too deeply", where=str(path)) from None

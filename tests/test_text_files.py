@@ -100,6 +100,7 @@ def test_a_large_file_is_not_read(tmp_path: Path, reader: str) -> None:
 LONG_NUMBER = "9" * 100_000
 TOML = {
     "dots": "label." + "a." * 100_000 + "a = 1",
+    "dots between quoted parts": "label." + '"a b".' * 40_000 + "a = 1",
     "nested lists": "label = " + "[" * 100_000,
     "100,000 keys": "".join(f"k{number} = 1\n" for number in range(100_000)),
     "a whole number of 100,000 digits": f"label = {LONG_NUMBER}",
