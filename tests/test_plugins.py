@@ -1,5 +1,6 @@
 """Plug-ins: a package from outside is used from the command line, and broken ones are refused in words."""
 
+import importlib.util
 import json
 import os
 import pickle
@@ -29,6 +30,7 @@ from evetac_cli.inspect import doctor
 from evetac_cli.kernels.grip.control import PluginLaw
 from evetac_cli.kernels.grip.load_law import MARGIN
 from evetac_cli.resources import PACKAGE
+from evetac_cli.stages import train
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import time_host_versions
 from evetac_cli.trials.grasp import settings
@@ -510,3 +512,45 @@ def test_what_a_plug_in_prints_is_not_json(add: Add, tmp_path: Path, capfd: pyte
     written = capfd.readouterr()
     assert json.loads(written.out)["error"]["message"] == "not this camera"
     assert written.err.count("hello from") == 3
+
+
+def test_a_network_whose_forms_differ(
+    add: Add, made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that `train` refuses a network that takes the maximum in torch and the mean in ONNX, and writes nothing.
+
+    It is refused before training; and afterwards, if only trained weights show the difference.
+    """
+    spec = importlib.util.spec_from_file_location("toy_network", TOY / "evetac_toy" / "network.py")
+    assert spec is not None and spec.loader is not None
+    spec.loader.exec_module(module := importlib.util.module_from_spec(spec))
+
+    class MaxOfDots(module.MeanOfDots):  # type: ignore[misc, name-defined]
+        def hidden(self, modules: Any, inputs: Any) -> Any:
+            return modules["code"](inputs).relu().amax(1)
+
+    views = module.MEAN_OF_DOTS.views
+    add(plugins.NETWORKS, odd=MaxOfDots("odd", views), fine=module.MeanOfDots("fine", views))
+    features = [str(made.beside(path, "features")) for path in made.recordings]
+
+    def train_with(name: str) -> tuple[Any, str]:
+        flags = ("--preset", "adam", "--max-steps", "20", "--validate", features[-1])
+        with pytest.raises(SystemExit) as ended:
+            main.app(["train", *features, "--model", name, *flags, "-o", str(tmp_path / f"{name}.model.h5")])
+        return ended.value.code, capsys.readouterr().err
+
+    def refused() -> None:
+        code, said = train_with("odd")
+        assert code == 2
+        assert "the plug-in network odd cannot be used" in said and "lab" in said
+        assert "torch and ONNX return probabilities up to" in said
+        assert not list(tmp_path.glob("*.h5"))
+
+    refused()
+    require = train._require_same_forms
+    monkeypatch.setattr(
+        train, "_require_same_forms", lambda network, weights, *more: weights and require(network, weights, *more)
+    )
+    refused()
+    assert train_with("fine")[0] in (0, None)
+    assert (tmp_path / "fine.model.h5").is_file()

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli import plugins
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError, made_by
@@ -29,6 +30,7 @@ from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.slip.architectures import (
     LEAST_COLUMNS,
     LEAST_ROWS,
+    Architecture,
     DotArchitecture,
     PluginLayers,
     joined,
@@ -61,11 +63,16 @@ from evetac_cli.store.layout.rules import named_architecture
 from evetac_cli.store.recordings.onset import PERSON, abstains
 
 if TYPE_CHECKING:  # torch takes more than a second to import, numba half of it
+    from evetac_cli.kernels.slip.inputs import Trajectory
     from evetac_cli.kernels.slip.training import SlipTraining
 
 OUTPUT = "model"
 METHOD = 9
 VALIDATE_EVERY = 8
+COMPARED = 64  # inputs of a file on which the two forms of a plug-in's network are compared
+# Probability. evetac's nine networks on dots differ by at most 6e-7 after training, and by 4e-6 with random weights of
+# standard deviation 0.3, over inputs of three simulated slips.
+FORMS_AGREE = 1e-4
 FEWEST_VALIDATED_ON = 4  # trajectories; with fewer, a far too low threshold may score as well as a good one
 
 
@@ -89,6 +96,7 @@ class TrainJob(Job):
 
     learned: int
     seed: int
+    withheld: int  # inputs not trained on because --validate names them, too
 
 
 @dataclass(frozen=True)
@@ -106,6 +114,7 @@ def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
     """Return a job for every seed, each with all features files."""
     validate = named_files(params.validate, "features", "--validate") if params.validate else []
     files, validate = _with_objects(files, params), _with_objects(validate, params)
+    withheld = len(set(files) & set(validate))
     if not validate:
         validate = files[VALIDATE_EVERY - 1 :: VALIDATE_EVERY] or files[-1:]
     learn = [file for file in files if file not in validate]
@@ -122,7 +131,7 @@ def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
         number = f"-s{seed}" if params.seeds > 1 else ""
         name = f"{settings.model}{horizon_ms}{number}.model.h5"
         output = out if out is not None and out.suffix == ".h5" else (out or learn[0].parent) / name
-        trainings.append(TrainJob((*learn, *validate), output, len(learn), seed))
+        trainings.append(TrainJob((*learn, *validate), output, len(learn), seed, withheld))
     return trainings
 
 
@@ -132,12 +141,21 @@ def parts(job: TrainJob, params: Train) -> list[NetworkJob]:
     count = settings.networks * (params.folds + 1)
     numbers = range(count if count > 1 else 0)
     places = [job.output.with_name(f"{job.output.name}.network{number + 1}") for number in numbers]
-    return [NetworkJob(job.inputs, places[number], job.learned, job.seed, number, job.output) for number in numbers]
+    return [
+        NetworkJob(job.inputs, places[number], job.learned, job.seed, job.withheld, number, job.output)
+        for number in numbers
+    ]
 
 
 def cautions(jobs: Sequence[TrainJob], params: Train) -> list[str]:
     """Return notes to print before a training, which may take long."""
-    return sorted({_few(len(job.inputs) - (0 if params.folds else job.learned)) for job in jobs} - {""})
+    notes = {_few(len(job.inputs) - (0 if params.folds else job.learned)) for job in jobs}
+    notes |= {
+        f"{job.withheld} of the given files only validate, because --validate names them, too"
+        for job in jobs
+        if job.withheld
+    }
+    return sorted(notes - {""})
 
 
 def for_people(rows: list[dict[str, Any]], params: Train) -> tuple[list[dict[str, Any]], list[str]]:
@@ -282,6 +300,8 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         where, found = str(job.inputs[0]), grid.in_words(*shape)
         raise InputError("this network needs a grid of dots", where=where, expected=expected, found=found, hint=hint)
     start = None if adapted is None else adapted.weights
+    if isinstance(architecture, PluginLayers):  # before hours of training, and again on the result
+        _require_same_forms(architecture, None, shape, read_trajectory(job.inputs[0], architecture), job.inputs[0])
     networks = Networks(output, job.inputs, memory_bytes, folds, recipe, shape, start)
     predictions: list[list[Prediction]] = []
     resumed: int | None = None
@@ -305,6 +325,7 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
             for done, index in enumerate(fold.evaluated_on):
                 progress(done, len(fold.evaluated_on), "files evaluated")
                 trajectory = read_trajectory(job.inputs[index], architecture)
+                _require_same_forms(architecture, last[-1], shape, trajectory, job.inputs[index])
                 judged = predict(detectors, trajectory, headers[index], settings.horizon_ms)
                 for of_detector, prediction in zip(predictions, judged, strict=True):
                     of_detector.append(prediction)
@@ -367,6 +388,37 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         detected_share=choice.detected_share,
         warning=_warning(job.output),
     )
+
+
+def _require_same_forms(
+    architecture: Architecture,
+    weights: dict[str, NDArray[np.float32]] | None,
+    shape: tuple[int, int],
+    trajectory: "Trajectory",
+    path: Path,
+) -> None:
+    """Raise InputError if a plug-in's network computes another probability in torch than as an ONNX graph.
+
+    weights: of all networks of the detector; None for new ones. trajectory: the inputs of a file, of which some are
+    compared; path: that file.
+    """
+    import torch
+
+    from evetac_cli.kernels.slip import inputs, networks
+
+    plugin = plugins.by_name(plugins.NETWORKS, architecture.name)
+    slices = inputs.length(trajectory.series)
+    if plugin is None or slices < architecture.history:
+        return
+    ends = np.unique(np.linspace(architecture.history - 1, slices - 1, COMPARED).astype(np.int64))
+    batch = inputs.at(architecture, trajectory.series, ends)
+    with torch.random.fork_rng(devices=[]):  # new weights are drawn, and a training may draw later
+        drawn = networks.weights(networks.build(architecture, *shape)) if weights is None else weights
+    for each in parted(drawn):
+        difference = networks.difference_of_forms(architecture, each, *shape, batch)
+        if not difference <= FORMS_AGREE:
+            found = f"for inputs from {path}, torch and ONNX return probabilities up to {difference:.3g} apart"
+            raise plugin.error(f"{found}: its `hidden` and `add_layers` are not the same network")
 
 
 def _learned_truth(params: Train, adapted: TrainedModel | None) -> bool:

@@ -182,6 +182,14 @@ def test_few_trajectories_to_choose_a_threshold_on_are_said(trials: list[Path], 
     assert train.cautions([job], small(folds=2)) == []
 
 
+def test_files_that_only_validate_are_said(trials: list[Path], tmp_path: Path) -> None:
+    """Assert a note on inputs that --validate takes out of the training, and none on other files."""
+    both = small(validate=trials[0])
+    notes, others = (train.cautions(train.jobs(files, both, tmp_path), both) for files in (trials, trials[1:]))
+    assert any("1 of the given files only validate" in note for note in notes)
+    assert not any("only validate" in note for note in others)
+
+
 @pytest.mark.parametrize("preset", ["paper", "adamw"])
 @pytest.mark.slow
 def test_it_goes_on_after_an_interruption(
