@@ -8,8 +8,7 @@ from evetac_cli import names
 from evetac_cli.commands.parameter import RUNNING, parameter
 from evetac_cli.names import Capability
 
-SCENE, SOLVER, VIEW = "Scene", "Precision of the simulation", "Live view"  # panels of --help
-DEVICES = "Devices"  # another
+SCENE, SOLVER, VIEW, DEVICES = "Scene", "Precision of the simulation", "Live view", "Devices"  # panels of --help
 SIMULATED = (Capability.SCENE,)
 SERIES = (Capability.SCENE, Capability.DEVICE)
 SOLVER_OPTIONS = ("tolerance_um", "step_ms", "theta", "node_pitch_mm", "camera_substeps", "scans_per_ms")
