@@ -19,7 +19,7 @@ READY := $(VENV)/.ready
 ALL := $(VENV)/.ready-to-develop
 # Extras for the commands of README and the first hour; setup-all installs the others.
 USED := plot,convert
-EVERY := camera,cluster,convert,plot,robot,view,dev,docs
+EVERY := camera,cluster,convert,plot,robot,dev,docs
 # Additional pip index or folder, for torch without CUDA: https://download.pytorch.org/whl/cpu
 TORCH_INDEX ?=
 # UV=1 installs with uv, in half the time. Of the settings of pip, uv gets PIP_INDEX_URL and PIP_FIND_LINKS alone.

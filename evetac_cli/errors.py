@@ -37,7 +37,6 @@ EXTRAS = {
     "camera": ("dv_processing",),
     "convert": ("rosbags", "mcap", "faery", "lz4", "zstandard", "hdf5plugin", "pyarrow", "zarr", "PIL", "av"),
     "plot": ("matplotlib", "bokeh", "PIL"),
-    "view": ("rerun",),
     "cluster": ("dask", "distributed", "cryptography"),
     "robot": ("mujoco", "gymnasium", "cma"),
 }

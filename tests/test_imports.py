@@ -92,10 +92,9 @@ ONLY_IN = {
     "numba": ("kernels/compiled.py", "cli/compiling.py"),
     "dask": ("cli/dask_engine.py",),
     "distributed": ("cli/dask_engine.py",),
-    "pyarrow": ("evaluate/benchmark/data_set.py", "formats/read/*", "formats/write/*", "formats/write/lerobot/*"),
+    "pyarrow": ("formats/read/*", "formats/write/*", "formats/write/lerobot/*"),
     "av": ("formats/write/lerobot/write_lerobot.py",),
     "mcap": ("formats/write/write_mcap.py", "formats/read/bags/*"),
-    "rerun": ("pages/view/rerun_file.py",),
     "gymnasium": ("gym.py",),
 }
 

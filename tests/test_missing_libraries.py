@@ -32,7 +32,6 @@ NEEDED = {
     "export to LeRobot": ("av", "export {f} --format lerobot -o {o}/touch", "convert"),
     "view": ("bokeh", "view {f} -o {o}/a.html", "plot"),
     "view, images": ("PIL", "view {f} -o {o}/a.html", "plot"),
-    "view --rrd": ("rerun", "view {f} --rrd -o {o}/a.rrd", "view"),
     "report": ("matplotlib", "report . -o {o}/a.html", "plot"),
     "Dask": ("dask", "track {f} --engine dask -o {o}", "cluster"),
     "dv": ("dv_processing", "record --camera dv --seconds 0.1 -o {o}/a.recording.h5", "camera"),

@@ -31,7 +31,6 @@ COMMANDS = {
     "validate": ("validate .", "validate {n}.tracks.h5"),
     "report": ("report . -o page.html",),
     "view": ("view {n}.recording.h5 -f", "view {n}.tracks.h5 -o {n}.page.html"),
-    "view --rrd": ("view {n}.recording.h5 --rrd",),
     "text": ("export {n}.recording.h5 --format text", "record --from {n}.txt --frame-size 640x480 -o out"),
     "aedat4": ("export {n}.recording.h5 --format aedat4", "record --from {n}.aedat4 -o out"),
     "dsec": ("export {n}.recording.h5 --format dsec", "record --from {n}.dsec.h5 -o out"),
@@ -109,14 +108,14 @@ def test_what_tables_and_cards_say_of_a_name(folder: Path, monkeypatch: pytest.M
 
 
 def test_text_in_a_file_that_is_no_utf8(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a unit and a name in a recording's own texts do no harm to tables and to the file for rerun."""
+    """Assert that a unit and a name in a recording's own texts do no harm to tables and to the page."""
     small_files.recording(tmp_path / "a.recording.h5")
     with h5py.File(tmp_path / "a.recording.h5", "r+") as file:
         about = '{"what": "pose \\udcff", "units": {"x_m": "\\ud800"}}'
         del file["streams/arm/about"]
         file["streams/arm/about"] = about
     monkeypatch.chdir(tmp_path)
-    for words in ("info a.recording.h5", "view a.recording.h5 --rrd", "view a.recording.h5"):
+    for words in ("info a.recording.h5", "view a.recording.h5"):
         answer_with(words, "")
     for format_ in ("csv", "parquet", "mcap"):
         answer_with(f"export a.recording.h5 --format {format_}", "")

@@ -7,7 +7,7 @@ from evetac_cli.commands.parameter import Command, parameter
 
 @dataclass(frozen=True)
 class View:
-    """Show a recording and the results computed from it on one HTML page, which works offline, or in rerun."""
+    """Show a recording and the results computed from it on one HTML page, which works offline."""
 
     start_s: float = parameter(0.0, "Start of the part to show.", unit="s", low=0.0, recipe=False)
     stop_s: float | None = parameter(
@@ -21,11 +21,6 @@ class View:
         "Largest number of images on the page; they are densest near slip and at high event rates.",
         low=1,
         high=3000,
-        recipe=False,
-    )
-    rrd: bool = parameter(
-        False,
-        "Write NAME.rrd for the rerun viewer instead of a page, with every event up to its size limit.",
         recipe=False,
     )
 

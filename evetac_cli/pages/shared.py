@@ -37,21 +37,15 @@ def check_libraries(names: Iterable[str]) -> None:
 
 
 def page_path(folder: Path, name: str, out: Path | None) -> Path:
-    """Return `folder/name`; if `out` is given, the path in the folder `out`, or the file `out`."""
+    """Return `folder/name`; if `out` is given, the path in the folder `out`, or the file `out`, which is HTML."""
     if out is None:
         return folder / name
     if out.is_dir() or not out.suffix:
         return out / name
-    return with_suffix(out, Path(name).suffix, "--out")
-
-
-def with_suffix(path: Path, suffix: str, flag: str) -> Path:
-    """Return the path; raise InputError if it has another suffix."""
-    if path.suffix.lower() != suffix:
-        raise InputError(
-            "wrong kind of output", where=flag, expected=f"a file name ending in {suffix}", found=str(path)
-        )
-    return path
+    if out.suffix.lower() != ".html":
+        expected = "a file name ending in .html"
+        raise InputError("wrong kind of output", where="--out", expected=expected, found=str(out))
+    return out
 
 
 def write_page(path: Path, content: bytes, *, force: bool) -> None:

@@ -21,7 +21,6 @@ REFUSED: dict[str, tuple[str, tuple[str, ...], Any, str | None, str]] = {
     "two recordings": ("view", ("a.recording.h5", "copy.recording.h5"), View(), None, "copy.recording.h5"),
     "truncated": ("view", ("truncated.tracks.h5",), View(), None, "truncated.tracks.h5"),
     "of no kind of page": ("view", ("a.recording.h5",), View(), "x.h5", "--out"),
-    "of the other page": ("view", ("a.recording.h5",), View(rrd=True), "b.html", "--out"),
     "over an input": ("view", ("a.recording.h5",), View(), "a.recording.h5", "--out"),
     "over a folder": ("view", ("a.recording.h5",), View(), "folder.html", "folder.html"),
     "below a file": ("view", ("a.recording.h5",), View(images=1), "a.tracks.h5/x.html", "a.tracks.h5"),
@@ -53,8 +52,6 @@ def test_refused(folder: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> No
     """Assert the type and the place of the error, and that no file is made or changed."""
     monkeypatch.chdir(folder)
     command, inputs, params, out, where = REFUSED[name]
-    if name == "of the other page":
-        pytest.importorskip("rerun")
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
     module: Any = {"view": view, "report": report}[command]
     with pytest.raises(EvetacError) as raised:

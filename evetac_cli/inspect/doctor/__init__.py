@@ -60,7 +60,6 @@ SERVES = {
     "camera": "--camera dv",
     "convert": "AEDAT4, bags, Prophesee's files, tables, LeRobot",
     "plot": "pictures of reports, pages",
-    "view": "view --rrd",
     "cluster": "--engine dask",
     "robot": "evetac_cli.gym, examples",
 }

@@ -1,6 +1,5 @@
-"""view: show a recording and its results on one self-contained page, or in rerun."""
+"""view: show a recording and its results on one self-contained page."""
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Outcome, Progress, require_possible_name, silent
 from evetac_cli.pages import shared
-from evetac_cli.pages.view import gripper, rerun_file, streams, touch
+from evetac_cli.pages.view import gripper, streams, touch
 from evetac_cli.pages.view.event_images import (
     choose_frame_times,
     draw_pictures,
@@ -24,7 +23,7 @@ from evetac_cli.pages.view.trial_files import OpenTrial, open_trial
 from evetac_cli.pages.view.view_data import ViewData
 from evetac_cli.resources import with_shipped
 from evetac_cli.store.files import stem
-from evetac_cli.store.hdf5.disk import check_free, taking_the_place_of
+from evetac_cli.store.hdf5.disk import check_free
 from evetac_cli.store.recordings.onset import PERSON, labelled_onset
 from evetac_cli.store.recordings.streams import marks_in_words
 
@@ -32,11 +31,8 @@ from evetac_cli.store.recordings.streams import marks_in_words
 def run(
     files: list[Path], params: View, out: Path | None, *, force: bool = False, progress: Progress = silent
 ) -> Outcome:
-    """Write the page of one trial, or the file for rerun; raise InputError if it exists, unless `force`."""
-    if params.rrd:
-        rerun_file.load_rerun()
-    else:
-        shared.check_libraries(("bokeh", "PIL"))
+    """Write the page of one trial; raise InputError if it exists, unless `force`."""
+    shared.check_libraries(("bokeh", "PIL"))
     files = with_shipped(files)
     folders = [path for path in files if path.is_dir()]
     if folders:
@@ -47,19 +43,14 @@ def run(
             found="a folder",
             hint=f"evetac report {folders[0]} shows all its trials on one page",
         )
-    ending = ".rrd" if params.rrd else ".html"
-    target = shared.page_path(files[0].parent, stem(files[0]) + ending, out)
+    target = shared.page_path(files[0].parent, f"{stem(files[0])}.html", out)
     require_possible_name(target)
     check_free(target, force=force)
     with open_trial(files, progress) as trial:
         view = collect_view(trial, params, progress)
-        with taking_the_place_of(target, ending, partial(check_free, target, force=force)) as temporary:
-            if params.rrd:
-                rerun_file.write_rrd(trial, view, temporary, progress)
-            else:
-                temporary.write_bytes(render_page(trial, view))
+        shared.write_page(target, render_page(trial, view), force=force)
     row: dict[str, Any] = {
-        "output" if params.rrd else "page": str(target),
+        "page": str(target),
         "size_bytes": target.stat().st_size,
         "frame_times": len(view.frame_times),
         "images": len(view.pictures),

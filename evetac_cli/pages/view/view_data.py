@@ -1,6 +1,5 @@
 """The data of a trial that view draws: series, intervals of slip, event images, dots."""
 
-import io
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,7 +8,6 @@ from numpy.typing import NDArray
 from evetac_cli.store.recordings.onset import LabelledOnset
 
 LEVELS, SHEAR_LEVELS = 255, 127  # of pressure, and of shear either way, in a TouchView
-VIRIDIS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))  # as in touch_map.js
 
 
 @dataclass(frozen=True)
@@ -24,9 +22,8 @@ class Series:
 
     @property
     def band(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """One standard deviation below and above, not below 0 if no value is; raises ValueError if it is unknown."""
-        if self.sd is None:
-            raise ValueError(f"{self.name}: expected a standard deviation, found none")
+        """One standard deviation below and above, if it is known; not below 0 if no value is."""
+        assert self.sd is not None
         low = self.value - self.sd
         return low if np.nanmin(self.value) < 0 else np.maximum(low, 0.0), self.value + self.sd
 
@@ -95,33 +92,6 @@ class TouchView:
     highest: NDArray[np.float32]  # (maps, 4)
     shown: NDArray[np.int64]  # (frames,) index of the map for each event image; -1: none yet
     slices: dict[str, NDArray[np.float32]]  # (frames, ...) centre_mm, centre_sd_mm, sticking_share, slip_direction_rad
-
-    @property
-    def shear_share(self) -> NDArray[np.float64]:
-        """Shear over most_shear_pa, (maps, 2, rows, columns)."""
-        return (self.shear - float(SHEAR_LEVELS)) / SHEAR_LEVELS
-
-    @property
-    def words(self) -> str:
-        """The meaning of colours and arrows, in words."""
-        return (
-            f"Touch map: one pixel per cell, from dark for no pressure to yellow for {self.most_pa / 1e3:.3g} kPa and"
-            f" more; an arrow of one cell's length is {self.most_shear_pa / 1e3:.3g} kPa of shear."
-        )
-
-    def png(self, row: int) -> bytes:
-        """Return a map's pressure as a PNG, one pixel per cell, black where there is no contact."""
-        from PIL import Image
-
-        shares = np.linspace(0.0, 1.0, LEVELS)
-        stops = np.linspace(0.0, 1.0, len(VIRIDIS))
-        colours = np.stack([np.interp(shares, stops, channel) for channel in np.array(VIRIDIS).T], axis=1)
-        shown = np.maximum(self.pressure[row], 1) * self.patch[row]  # 0 is reserved for cells without contact
-        image = Image.fromarray(shown.astype(np.uint8))
-        image.putpalette(bytes([0, 0, 0, *np.rint(colours).astype(np.uint8).ravel().tolist()]))
-        written = io.BytesIO()
-        image.save(written, "PNG")
-        return written.getvalue()
 
 
 @dataclass

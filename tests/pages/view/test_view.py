@@ -100,7 +100,8 @@ def test_each_image_has_the_map_before_its_end(trial: Path) -> None:
     expected = np.minimum(pressure, maps.most_pa)
     np.testing.assert_allclose(maps.pressure / 255 * maps.most_pa, expected, atol=maps.most_pa / 509)
     within = np.clip(shear, -maps.most_shear_pa, maps.most_shear_pa)
-    np.testing.assert_allclose(maps.shear_share * maps.most_shear_pa, within, atol=maps.most_shear_pa / 253)
+    shown_pa = (maps.shear - 127.0) / 127 * maps.most_shear_pa
+    np.testing.assert_allclose(shown_pa, within, atol=maps.most_shear_pa / 253)
     np.testing.assert_array_equal(maps.patch, patch)
     at = np.unravel_index(pressure[1].argmax(), (4, 5))
     np.testing.assert_allclose(maps.highest[1, :2], [pressure[1][at], pressure[1][at] / 2], rtol=1e-6)
