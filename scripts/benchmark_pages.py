@@ -30,7 +30,7 @@ FIELDS = {
     "ms": ("sc:Integer", "Slice of 1 ms whose end is judged."),
 }
 PREDICT = """A method sees only `inputs/`, `sensors.csv` and, for the tasks dots and force, `queries/`. It may use the
-kind of a recording only to know which tables expect a row. Write one CSV (or Parquet) per task and score them:
+kind of a recording only to know which tables expect a row. Write one CSV per task and score them:
 
 ```
 evetac evaluate benchmark FOLDER --predictions MINE

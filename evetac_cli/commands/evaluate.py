@@ -245,14 +245,10 @@ class EvaluateBenchmark:
 
     predictions: Path | None = parameter(
         None,
-        "Score the tables in this folder (onset, warning, force, dots; CSV or Parquet), or a single table, instead of"
-        " evetac's methods.",
+        "Score the tables in this folder (onset, warning, force, dots; CSV), or a single table, instead of evetac's"
+        " methods.",
         recipe=False,
     )
-    lifts: Path | None = parameter(
-        None, "Folder with your recordings of the benchmark's lifts, NAME.recording.h5, for the grip score.",
-        recipe=False,
-    )  # fmt: skip
     model: Path | None = parameter(
         None,
         "Slip detector: a model file, `shipped` for the pretrained one (default), or `none` to leave out onset and"

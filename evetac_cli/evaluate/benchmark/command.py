@@ -43,9 +43,6 @@ def _check(params: EvaluateBenchmark) -> None:
         if params.predictions is not None and item.name in OF_OWN and getattr(params, item.name) != item.default:
             found = f"--predictions {params.predictions}"
             raise InputError("has no effect on predictions from tables", where=flag_of(item), found=found)
-    if params.lifts is not None and params.controller:
-        found = f"--controller {params.controller}"
-        raise InputError("either recordings of lifts or a controller that plays them", where="--lifts", found=found)
     with_file = params.shear_force in ("regression", "network")
     if with_file != (params.force_model is not None):
         expected = "with --shear-force regression or network, a file, else none"
@@ -73,21 +70,18 @@ def run(job: BenchmarkJob, params: EvaluateBenchmark, *, force: bool = False, pr
         methods = own_methods.methods_of(params.tracker, slip, params.threshold, params.shear_force, params.force_model)
         parameters |= {"methods": methods.for_recipe(), "threshold": params.threshold}
         parents = methods.parents()
-    played: Rows | None = None
-    chosen = _of_controller(params) if params.controller else {}
-    every_lift = own_methods.read_lifts(benchmark) if params.lifts is not None or params.controller else {}
-    if params.lifts is not None:
-        played = own_methods.lift_outcomes(benchmark, every_lift, params.lifts)
-        parameters["lifts"] = played
     parameters["controller"] = params.controller
+    chosen = _of_controller(params) if params.controller else {}
+    lifts = own_methods.read_lifts(benchmark) if params.controller else None
 
     def measure() -> tuple[Rows, dict[str, Any]]:
-        nonlocal made, played
+        nonlocal made
         if methods is not None:
             made = own_methods.predict(benchmark, methods, work, progress)
             predictions.write(work / "predictions", made, true)
-        if params.controller:
-            played = own_methods.play_lifts(benchmark, every_lift, chosen, work / "lifts", progress)
+        played: Rows | None = None
+        if lifts is not None:
+            played = own_methods.play_lifts(benchmark, lifts, chosen, work / "lifts", progress)
         rows = scores.all_rows(benchmark, true, made, played)
         return rows, _summary(benchmark.size, rows)
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Flags, Floats
-from evetac_cli.errors import InputError, needs_extra
+from evetac_cli.errors import InputError
 from evetac_cli.evaluate.slip_warnings import slip_begins
 from evetac_cli.store.hdf5.checked_hdf5 import CheckedHdf5
 from evetac_cli.text_files import MOST_JSON_BYTES, parse_json, read_text
@@ -23,7 +23,6 @@ NAME, VERSION = "evetac-bench", 1
 ABOUT = "benchmark.json"
 MADE_BY = "make benchmark (docs/benchmark.md)"
 MOST_TABLE_BYTES = 1 << 30
-PARQUET = ".parquet"
 Cells = dict[str, list[str]]
 TRUTH_COLUMNS = ("recording", "true_sensor", "true_object", "motion", "seed")
 DATASETS = (
@@ -167,25 +166,12 @@ def read_columns(path: Path, names: tuple[str, ...]) -> Cells:
     """Return the cells of a table by column, as text; an unknown value is an empty text.
 
     InputError if the columns are not exactly `names`, in any order, or a line has another number of cells.
-    MissingLibrary for Parquet without pyarrow.
     """
-    found = _parquet(path) if path.suffix == PARQUET else _csv(path, names)
-    if sorted(found) != sorted(names):
-        _refuse_columns(path, names, list(found))
-    return found
-
-
-def _refuse_columns(path: Path, names: tuple[str, ...], found: list[str]) -> None:
-    raise InputError(
-        "other columns", where=f"{path}, line 1", expected=", ".join(names), found=", ".join(found)[:200] or "none"
-    )
-
-
-def _csv(path: Path, names: tuple[str, ...]) -> Cells:
     rows = csv.reader(io.StringIO(read_text(path, MOST_TABLE_BYTES).removeprefix("\ufeff"), newline=""))
     head = [cell.strip() for cell in next(rows, [])]
     if sorted(head) != sorted(names):
-        _refuse_columns(path, names, head)
+        found = ", ".join(head)[:200] or "none"
+        raise InputError("other columns", where=f"{path}, line 1", expected=", ".join(names), found=found)
     every: list[list[str]] = []
     for row in rows:
         if len(row) != len(head):
@@ -196,16 +182,3 @@ def _csv(path: Path, names: tuple[str, ...]) -> Cells:
         every.append(row)
     columns = [list(column) for column in zip(*every, strict=True)] if every else [[] for _ in head]
     return dict(zip(head, columns, strict=True))
-
-
-def _parquet(path: Path) -> Cells:
-    with needs_extra("Parquet needs pyarrow", "convert", str(path)):
-        from pyarrow import ArrowException, parquet
-    try:
-        table = parquet.read_table(path)
-    except (OSError, ArrowException) as error:
-        raise InputError(f"not a Parquet table: {error}", where=str(path)) from None
-    return {
-        name: ["" if value is None else str(value) for value in column.to_pylist()]
-        for name, column in zip(table.column_names, table.columns, strict=True)
-    }

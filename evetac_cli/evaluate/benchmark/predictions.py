@@ -1,7 +1,7 @@
 """Predictions for a benchmark: their tables, read and checked strictly, and written.
 
-A folder may have any of the tables; a task without a table has no figure. A table is CSV, or Parquet with the same
-columns. Errors name file, line, expected and found.
+A folder may have any of the CSV tables; a task without a table has no figure. Errors name file, line, expected and
+found.
 """
 
 import csv
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.benchmark.data_set import PARQUET, Benchmark, Cells, Truth, read_columns
+from evetac_cli.evaluate.benchmark.data_set import Benchmark, Cells, Truth, read_columns
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 
 COLUMNS = {
@@ -47,17 +47,11 @@ class Predictions:
 
 
 def find(given: Path) -> dict[str, Path]:
-    """Return the tables of a folder, or a single table, by task; InputError if there are none or two of a task."""
+    """Return the tables of a folder, or a single table, by task; InputError if there are none."""
     if not given.exists():
         raise InputError("no such file or folder", where="--predictions", found=str(given))
     paths = sorted(given.iterdir()) if given.is_dir() else [given]
-    found: dict[str, Path] = {}
-    for path in paths:
-        if path.suffix not in (".csv", PARQUET) or path.stem not in COLUMNS:
-            continue
-        if path.stem in found:
-            raise InputError("two tables of one task", where=str(path), found=str(found[path.stem]), hint=PAGE)
-        found[path.stem] = path
+    found = {path.stem: path for path in paths if path.suffix == ".csv" and path.stem in COLUMNS}
     if not found:
         names = ", ".join(f"{task}.csv" for task in COLUMNS)
         raise InputError("no predictions", where=str(given), expected=f"some of {names}", hint=PAGE)
@@ -90,7 +84,7 @@ class _Table:
 
     def fault(self, row: int, expected: str, found: str) -> InputError:
         """Return the error of a row."""
-        where = f"{self.path}, {'row' if self.path.suffix == PARQUET else 'line'} {row + 2}"
+        where = f"{self.path}, line {row + 2}"
         return InputError("not a prediction of this task", where=where, expected=expected, found=found[:80], hint=PAGE)
 
     def recording(self, row: int, known: Mapping[str, Any], kinds: str) -> str:

@@ -1,7 +1,6 @@
 """evetac evaluate benchmark: own methods, tables made without evetac, equal numbers, and refusals."""
 
 import json
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,8 +10,6 @@ import pytest
 from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
-from evetac_cli.errors import InputError
-from evetac_cli.evaluate.benchmark import own_methods
 from evetac_cli.evaluate.benchmark.data_set import Benchmark
 from evetac_cli.store.files import header_of
 from tests.conftest import Made
@@ -58,26 +55,8 @@ def test_a_table_made_without_evetac(bench: Benchmark, tmp_path: Path) -> None:
     assert force[0]["value"] == pytest.approx(force[0]["true_force_n"])  # it predicts none
 
 
-def test_lifts_of_an_own_loop(bench: Benchmark, made: Made, tmp_path: Path) -> None:
-    """Assert that recordings of the benchmark's lifts give a grip figure, and that another grasp is refused."""
-    shutil.copyfile(made.grasp, tmp_path / "g0.recording.h5")
-    words = ["--model", "none", "--shear-force", "none", "--lifts", tmp_path, "-o", tmp_path / "a.report.h5"]
-    found = scored(bench.folder, *words)
-    (grip,) = (row for row in found["rows"] if row["task"] == "grip" and row["split"] == "all")
-    assert grip["n"] == 1 and grip["kept"] in (0.0, 1.0)
-    lifts_path = bench.folder / "truth" / "lifts.json"
-    for key, other in (("seed", 1), ("lift_s", 2.0), ("sensor", "second")):
-        lift = json.loads(lifts_path.read_text())["g0"] | {key: other}
-        with pytest.raises(InputError, match=f"another lift: {key}"):
-            own_methods.lift_outcomes(bench, {"g0": lift}, tmp_path)
-    (tmp_path / "g0.recording.h5").unlink()
-    with pytest.raises(InputError, match="a lift is missing"):
-        own_methods.lift_outcomes(bench, own_methods.read_lifts(bench), tmp_path)
-
-
-@pytest.mark.slow
 def test_a_controller_plays_the_lifts(bench: Benchmark, tmp_path: Path) -> None:
-    """Assert that a law plays every lift in closed loop, which takes as long as a grasp."""
+    """Assert that a law plays every lift in closed loop."""
     words = ["--model", "none", "--shear-force", "none", "--controller", "fixed:10", "-o", tmp_path / "a.report.h5"]
     (grip, _) = (row for row in scored(bench.folder, *words)["rows"] if row["task"] == "grip")
     assert grip["n"] == 1
@@ -89,7 +68,7 @@ def test_a_controller_plays_the_lifts(bench: Benchmark, tmp_path: Path) -> None:
     [
         (["{}", "--predictions", "{}", "--tracker", "paper"], "--tracker"),
         (["{}", "--shear-force", "network"], "--force-model"),
-        (["{}", "--controller", "paper", "--lifts", "{}"], "--lifts"),
+        (["{}", "--controller", "unknown"], "--controller"),
         (["{}/inputs"], "benchmark.json"),
         (["{}/recordings.csv"], "one folder"),
         (["{}", "--predictions", "{}/inputs"], "onset.csv"),

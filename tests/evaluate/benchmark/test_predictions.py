@@ -37,21 +37,6 @@ def test_tables_come_back(bench: Benchmark, true: dict[str, Truth], tmp_path: Pa
     assert set(again.tables) == set(predictions.COLUMNS)
 
 
-def test_parquet_is_the_same(bench: Benchmark, true: dict[str, Truth], tmp_path: Path) -> None:
-    """Assert that a Parquet table gives the same predictions as the CSV."""
-    pytest.importorskip("pyarrow")
-    from pyarrow import csv, parquet
-
-    predictions.write(tmp_path / "csv", some(bench, true), true)
-    (tmp_path / "parquet").mkdir()
-    for task in predictions.COLUMNS:
-        parquet.write_table(csv.read_csv(tmp_path / "csv" / f"{task}.csv"), tmp_path / "parquet" / f"{task}.parquet")
-    ours, theirs = (predictions.read(tmp_path / name, bench, true) for name in ("csv", "parquet"))
-    assert ours.onset_ms == theirs.onset_ms
-    assert ours.force_n is not None and theirs.force_n is not None
-    assert np.array_equal(ours.force_n["r2"], theirs.force_n["r2"])
-
-
 def test_a_score_holds_until_the_next() -> None:
     """Assert that a ms without a score has the one before, and none before the first."""
     score = np.array([np.nan, 0.25, np.nan, np.nan, 0.5, np.nan], np.float32)
@@ -88,10 +73,8 @@ def test_wrong_tables_are_refused(case: str, bench: Benchmark, true: dict[str, T
         assert f"line {line}" in said
 
 
-@pytest.mark.parametrize("found", [(), ("onset.csv", "onset.parquet"), None])
-def test_folders_without_or_with_two_tables_are_refused(found: tuple[str, ...] | None, tmp_path: Path) -> None:
-    """Assert that an empty folder, two tables of a task and a missing folder are refused."""
-    for name in found or ():
-        (tmp_path / name).touch()
+@pytest.mark.parametrize("name", ["", "no such folder"])
+def test_folders_without_a_table_are_refused(name: str, tmp_path: Path) -> None:
+    """Assert that an empty folder and a missing one are refused."""
     with pytest.raises(InputError):
-        predictions.find(tmp_path / "no such folder" if found is None else tmp_path)
+        predictions.find(tmp_path / name)
