@@ -116,12 +116,6 @@ class EvaluateRealism:
 class EvaluateLikeness:
     """Compare recordings, simulated or real, with published facts about the sensor, and list facts without figures."""
 
-    results: Path | None = parameter(
-        None, "Folder of result tables, for facts that need trained models or grasps; default: docs/results of the"
-        " clone.",
-        recipe=False,
-    )  # fmt: skip
-
 
 @dataclass(frozen=True)
 class EvaluateLabels:

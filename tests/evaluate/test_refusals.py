@@ -11,7 +11,6 @@ from evetac_cli.commands import evaluate as flags
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import data_rate, grasp, realism, slip, vibration
 from evetac_cli.evaluate.cost import command as cost
-from evetac_cli.evaluate.likeness import command as likeness
 from tests.make import event_arrays, events_at, run_stage, write_recording
 
 SLICES = {"a": 300, "b": 1000, "short": 50, "empty": 0}
@@ -34,7 +33,6 @@ WINDOWS = ("", "x", "0.05", "11", "1,,2", "nan", "-1")
         (realism, "a short", flags.EvaluateRealism(), "a"),  # no phase in common
         (grasp, "a", flags.EvaluateGrasp(), "a"),
         (slip, "", flags.EvaluateSlip(), "--model"),
-        (likeness, "a", flags.EvaluateLikeness(results=Path("nowhere")), "--results"),
         (cost, "a", flags.EvaluateCost(part="label"), "evaluate cost label"),
         (cost, "a", flags.EvaluateCost(part="grasp"), "evaluate cost grasp"),
         (cost, "", flags.EvaluateCost(part="track", model=Path("a.model.h5")), "evaluate cost track"),

@@ -1,8 +1,8 @@
 """evaluate likeness: what recordings, simulated or real, show for each public fact about the sensor.
 
 There is a row per fact, in the order of docs/likeness.md: the public figure, the figures of simulated and of real
-recordings, and how both compare. Figures that need trainings, grasps or many trials are read from docs/results. If
-there is no figure, the row states what is needed for one. Then there is a row per recording with all its measures.
+recordings, and how both compare. If there is no figure, the row states what is needed for one, such as trainings or
+grasps; docs/likeness.md has those of evetac. Then there is a row per recording with all its measures.
 `_values` are the figures as a JSON list, because a fact may have several.
 
 Kernels are imported where they are called, so that a report that is up to date loads none.
@@ -32,11 +32,9 @@ from evetac_cli.evaluate.likeness.facts import (
     WITHIN,
     Fact,
     Ours,
-    ResultTables,
     as_text,
     constant_of,
     facts,
-    named_tables,
 )
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.store.layout.ancestry import scene_words
@@ -65,26 +63,24 @@ class MeasuredRecording:
 
 def jobs(files: list[Path], params: EvaluateLikeness, out: Path | None) -> list[Job]:
     """Return one report job over all recordings."""
-    ResultTables(params.results)
     return report_job(files, "likeness", out)
 
 
 def run(job: Job, params: EvaluateLikeness, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Return a row per fact, then a row per recording."""
-    tables = ResultTables(params.results)
     parents: list[Header] = []
     for path in job.inputs:
         with open_recording(path) as recording:
             parents += headers_beside(recording)
     listed = hashlib.sha256((resources.DATA / "likeness.toml").read_bytes()).hexdigest()
-    parameters = {**recipe_of(params), "facts": listed, "tables": tables.digests(named_tables())}
+    parameters = {**recipe_of(params), "facts": listed}
 
     def measured() -> tuple[Rows, dict[str, Any]]:
         recordings = []
         for number, path in enumerate(job.inputs):
             recordings.append(_measured_recording(path))
             progress(number + 1, len(job.inputs))
-        rows = [_fact_row(fact, recordings, tables) for fact in facts()]
+        rows = [_fact_row(fact, recordings) for fact in facts()]
         return [*rows, *(one.row for one in recordings)], _summary(rows, recordings)
 
     return report(job, "evaluate likeness", METHOD, parameters, parents, measured, force=force)
@@ -114,8 +110,8 @@ def for_people(rows: Rows, params: EvaluateLikeness) -> tuple[Rows, list[str]]:
     known_count = sum(row["compared"] is not None for row in counted)
     elsewhere = sum(row["not_told"] is None for row in of_facts) - len(checkable)
     lines = [
-        f"These recordings provide {len(checkable)} facts, docs/results and constants {elsewhere} more"
-        " (--json lists all); docs/likeness.md explains each.",
+        f"These recordings provide {len(checkable)} facts, constants {elsewhere} more (--json lists all);"
+        " docs/likeness.md explains each.",
         f"Of the {len(counted)} counted facts, {known_count} are known in simulation: {within} within the published"
         f" spread, {near} more of the same sign and between half and twice the published figure.",
     ]
@@ -144,15 +140,13 @@ def _measured_recording(path: Path) -> MeasuredRecording:
         return MeasuredRecording(row, simulated, scene, slip(str(called or path.name), counts) if judged else None)
 
 
-def _fact_row(fact: Fact, measured: Iterable[MeasuredRecording], tables: ResultTables) -> Row:
-    """Return the row of a fact: figures of simulated recordings, or else of results or a constant; and of real ones."""
+def _fact_row(fact: Fact, measured: Iterable[MeasuredRecording]) -> Row:
+    """Return the row of a fact: figures of simulated recordings, or else of a constant; and of real ones."""
     by_source: dict[bool, list[MeasuredRecording]] = defaultdict(list)
     for one in measured:
         by_source[one.simulated].append(one)
     simulated, real = (_of_recordings(fact, by_source[source]) for source in (True, False))
-    if not simulated.values and fact.table:
-        simulated = tables.ours(fact)
-    elif not simulated.values and fact.constant:
+    if not simulated.values and fact.constant:
         simulated = Ours(constant_of(fact.constant), origin=f"{'.'.join(fact.constant)} as it is set")
     elif not simulated.values and not fact.measures:
         simulated = Ours(untold=f"it needs {fact.needs}" if fact.needs else "no command measures it")

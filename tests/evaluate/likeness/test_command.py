@@ -10,14 +10,12 @@ import pytest
 
 from evetac_cli.commands.evaluate import EvaluateLikeness
 from evetac_cli.commands.record import Record
-from evetac_cli.errors import InputError
 from evetac_cli.evaluate.likeness import command
-from evetac_cli.evaluate.likeness import facts as listed
 from evetac_cli.evaluate.likeness.facts import facts
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Row
 from evetac_cli.trials import record
-from tests.make import answer_of, event_arrays, run_stage, truth_arrays, write_recording
+from tests.make import event_arrays, run_stage, truth_arrays, write_recording
 
 ONSET, SLICES = 1200, 1600
 
@@ -74,7 +72,8 @@ def test_what_is_not_told_says_what_would_tell_it(tmp_path: Path) -> None:
         assert (row["simulated"] is None) == bool(row["not_told"]), name
     assert "slips of at least two objects" in rows["one-threshold"]["not_told"]
     assert rows["data-rate-whole"]["not_told"] == "no simulated recording here is of the scene data-rate"
-    assert rows["grasps-kept"]["simulated_from"].startswith("docs/results/grasps.json, commit")
+    assert rows["grasps-kept"]["not_told"].startswith("it needs grasps")
+    assert rows["gel-stiffness"]["simulated_from"].endswith(" as it is set")
     shown, lines = command.for_people(outcome.rows, EvaluateLikeness())
     assert {row["fact"] for row in shown} >= {"half-slipped-time", "path-per-gram"}
     assert {row["fact"] for row in shown}.isdisjoint({"grasps-kept", "gel-stiffness"})
@@ -105,30 +104,3 @@ def test_a_real_camera_at_rest(tmp_path: Path, outside_file: Callable[[str], Pat
     ordinary, hot = real["noise-at-rest"]
     assert rows["noise-at-rest"]["real_compared"] == "off" and hot > 23 < ordinary + hot
     assert not outcome.simulated and rows["dot-radius-measured"]["real"] is None
-
-
-def test_without_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that an installation without docs/results says so, and that --results names another folder."""
-    monkeypatch.setattr(listed, "IN_A_CLONE", tmp_path / "nowhere")
-    path = slip_of(tmp_path / "3.recording.h5", 3, 60)
-    rows, _ = evaluated([path], tmp_path)
-    assert "--results" in rows["grasps-kept"]["not_told"]
-    (tmp_path / "grasps.json").write_text(json.dumps({"made": "mine", "rows": [{"setting": "paper", "success": 0.5}]}))
-    answer = answer_of("evaluate", "likeness", path, "--results", tmp_path, "-o", tmp_path / "b.report.h5")
-    (row,) = (row for row in answer["rows"] if row.get("name") == "grasps-kept")
-    assert row["simulated"] == "0.5" and row["simulated_from"] == "docs/results/grasps.json, mine"
-    with pytest.raises(InputError, match="no such folder"):
-        command.jobs([path], EvaluateLikeness(results=tmp_path / "none"), None)
-
-
-def test_other_tables_are_another_report(tmp_path: Path) -> None:
-    """Assert that a report is up to date for the same recordings and tables, and another recipe for another table."""
-    path = slip_of(tmp_path / "3.recording.h5", 3, 60)
-    table = tmp_path / "results" / "grasps.json"
-    table.parent.mkdir()
-    chosen = EvaluateLikeness(results=table.parent)
-    table.write_text(json.dumps({"made": "today", "rows": []}))
-    assert [run_stage(command, [path], chosen, tmp_path / "a.report.h5")[1].made for _ in range(2)] == [True, False]
-    table.write_text(json.dumps({"made": "today", "rows": [{"setting": "paper", "success": 0.5}]}))
-    with pytest.raises(InputError, match="another recipe"):
-        run_stage(command, [path], chosen, tmp_path / "a.report.h5")
