@@ -8,7 +8,7 @@ from evetac_cli import resources
 from evetac_cli.commands.evaluate import EvaluateBenchmark
 from evetac_cli.commands.parameter import flag_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import report
+from evetac_cli.evaluate import own_report, report
 from evetac_cli.evaluate.benchmark import data_set, scores
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.store.layout.provenance import Header
@@ -31,10 +31,7 @@ def jobs(files: list[Path], params: EvaluateBenchmark, out: Path | None) -> list
         found = ", ".join(map(str, files))
         raise InputError("not a benchmark", where=found, expected="one folder", hint=data_set.MADE_BY)
     _check(params)
-    folder = files[0]
-    name = f"{folder.resolve().name}.benchmark.report.h5"
-    output = out if out is not None and out.suffix == ".h5" else (out or Path()) / name
-    return [BenchmarkJob((), output, folder)]
+    return [BenchmarkJob((), own_report(files[0].resolve().name, "benchmark", out), files[0])]
 
 
 def _check(params: EvaluateBenchmark) -> None:

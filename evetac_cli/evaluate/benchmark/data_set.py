@@ -84,17 +84,22 @@ def read(folder: Path) -> Benchmark:
 def _about(folder: Path) -> tuple[dict[str, Any], str]:
     """Return benchmark.json and its digest; InputError if it is not that of this version."""
     path = folder / ABOUT
-    if not path.exists():
-        raise InputError("not a benchmark", where=str(folder), expected=f"a folder with {ABOUT}", hint=MADE_BY)
-    text = read_text(path, MOST_JSON_BYTES)
-    try:
-        about = parse_json(text)
-    except ValueError as error:
-        raise InputError(f"not valid JSON: {error}", where=str(path)) from None
+    about, text = read_json(path, "not a benchmark")
     found = (about.get("name"), about.get("version")) if isinstance(about, dict) else (None, None)
     if found != (NAME, VERSION) or not isinstance(about.get("recordings"), dict):
         raise InputError("another benchmark", where=str(path), expected=f"{NAME} {VERSION}", found=f"{found}")
     return about, hashlib.sha256(text.encode()).hexdigest()
+
+
+def read_json(path: Path, missing: str) -> tuple[Any, str]:
+    """Return the content of a JSON file of a benchmark, and its text; InputError, with `missing`, if there is none."""
+    if not path.exists():
+        raise InputError(missing, where=str(path.parent), expected=path.name, hint=MADE_BY)
+    text = read_text(path, MOST_JSON_BYTES)
+    try:
+        return parse_json(text), text
+    except ValueError as error:
+        raise InputError(f"not valid JSON: {error}", where=str(path)) from None
 
 
 class Truth(NamedTuple):

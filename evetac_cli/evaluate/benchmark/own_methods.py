@@ -21,7 +21,7 @@ from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.commands.track import Track
 from evetac_cli.errors import MAKE_MODEL, InputError
 from evetac_cli.evaluate import grasp as grasp_evaluation
-from evetac_cli.evaluate.benchmark.data_set import MADE_BY, Benchmark, BenchmarkTrial
+from evetac_cli.evaluate.benchmark.data_set import Benchmark, BenchmarkTrial, read_json
 from evetac_cli.evaluate.benchmark.predictions import ONSET_KINDS, WARNING_KINDS, Predictions
 from evetac_cli.evaluate.slip_models import Model
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, silent
@@ -36,7 +36,7 @@ from evetac_cli.stages.touch import predict_touch
 from evetac_cli.store.files import StageFile, header_of
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings.read import open_recording, ramp_start
-from evetac_cli.text_files import MOST_JSON_BYTES, as_toml, parse_json, read_text
+from evetac_cli.text_files import as_toml
 from evetac_cli.trials import grasp
 
 LIFT_FLAGS = ("sensor", "seed", "lift_s", "balance_s")
@@ -175,12 +175,7 @@ def methods_of(
 def read_lifts(benchmark: Benchmark) -> dict[str, Row]:
     """Return the lifts by name: split, object, and the flags of `evetac grasp`."""
     path = benchmark.folder / "truth" / "lifts.json"
-    if not path.exists():
-        raise InputError("the lifts are missing", where=str(path), hint=MADE_BY)
-    try:
-        found = parse_json(read_text(path, MOST_JSON_BYTES))
-    except ValueError as error:
-        raise InputError(f"not valid JSON: {error}", where=str(path)) from None
+    found, _ = read_json(path, "the lifts are missing")
     wanted = {"split", "object", *LIFT_FLAGS}
     if not isinstance(found, dict) or any(not isinstance(row, dict) or set(row) != wanted for row in found.values()):
         raise InputError("not the lifts of a benchmark", where=str(path), expected=", ".join(sorted(wanted)))
