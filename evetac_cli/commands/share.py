@@ -11,8 +11,8 @@ class Share:
 
     The card describes the model or data: origin, seeds, results, limits and citation, and whether it is simulated.
     Results are added from reports of `evetac evaluate slip` that are given after the model. For a folder, tables in
-    Parquet are written next to the files, for the Hub's viewer (extra `convert`). Subfolders named train, validation
-    and test, or learn, choose and unseen, become the splits.
+    Parquet, with one row per slice, are written next to the files for the Hub's viewer (extra `convert`). Subfolders
+    named train, validation and test, or learn, choose and unseen, become the splits.
     """
 
     title: str | None = parameter(None, "Title of the card; default: the name of the file or folder.", recipe=False)
@@ -24,13 +24,6 @@ class Share:
     author: str | None = parameter(
         None,
         "Authors, in BibTeX form, e.g. 'Noether, Emmy and Turing, Alan'; default: none.",
-        recipe=False,
-    )
-    tables: str = parameter(
-        "slices",
-        "For a folder: tables for the Hub's viewer. slices: one row per trial, and one per slice (1 ms). events: also"
-        " one row per event, which about doubles the space of the recordings. none: HDF5 files only.",
-        choices=("slices", "events", "none"),
         recipe=False,
     )
 

@@ -179,8 +179,6 @@ REFUSED: dict[str, tuple[str, str, dict[str, Any], str]] = {
     "into itself": ("data", "data/hub", {}, "data/hub"),
     "over its own folder": ("data", ".", {"force": True}, "."),
     "a damaged file": ("damaged", "hub", {}, "b.recording.h5"),
-    "tables of a model": ("data/a.tracks.h5", "hub", {"tables": "none"}, "--tables"),
-    "events without recordings": ("alone", "hub", {"tables": "events"}, "--tables events"),
 }
 
 
@@ -189,9 +187,8 @@ def test_refused(case: str, trials: Path, tmp_path: Path, monkeypatch: pytest.Mo
     """Assert the place of the error, and that nothing is made."""
     monkeypatch.chdir(tmp_path)
     trials.rename("data")
-    for name in ("empty", "damaged", "alone"):
+    for name in ("empty", "damaged"):
         Path(name).mkdir()
-    shutil.copy("data/a.tracks.h5", "alone")
     Path("damaged/b.recording.h5").write_bytes(b"\x89HDF\r\n\x1a\n broken")
     before = {path for path in Path().rglob("*") if not path.name.startswith(".")}
     source, out, flags, where = REFUSED[case]
@@ -225,10 +222,9 @@ def test_the_commands_of_the_page(made: Made, trials: Path, tmp_path: Path, monk
         result = CliRunner().invoke(app, shlex.split(line)[1:])
         assert result.exit_code == 0, result.output
     described = set(re.findall(r"^\| `(\S+)` \|", page, re.MULTILINE))
-    tables = {name for name in described if name.startswith("tables/")}
-    assert {path.name for path in Path("own-hub").iterdir()} == described - tables
+    assert {path.name for path in Path("own-hub").iterdir()} == described
     if find_spec("pyarrow"):
-        assert {f"tables/{path.name}" for path in Path("data-hub/tables").iterdir()} == tables - {"tables/events"}
+        assert Path("data-hub/tables/train/a.parquet").is_file()
     assert fields(Path("data-hub"))["pretty_name"] == "Slips of glass"
 
 

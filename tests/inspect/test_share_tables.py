@@ -13,14 +13,14 @@ import pandas as pd
 import pytest
 
 from evetac_cli.commands.share import Share
-from evetac_cli.errors import InputError, MissingLibrary
-from evetac_cli.formats.write import hub_tables
+from evetac_cli.errors import InputError
+from evetac_cli.formats.write import write_table
 from evetac_cli.inspect import share
 from evetac_cli.inspect.share.sections import NOT_LIKE
 from tests import small_files
 from tests.formats.trials import write_grasp
 from tests.inspect.test_share import fields, shared
-from tests.small_files import DOTS, EVENTS_A_SLICE, SLICES
+from tests.small_files import DOTS, SLICES
 
 pytest.importorskip("pyarrow")
 import pyarrow.parquet as pq
@@ -40,15 +40,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def hub(folder: Path) -> Path:
-    """It as share lays it out, with events."""
+    """It as share lays it out."""
     out = folder.with_name("hub")
-    shared(folder, out=out, tables="events", author="Noether, Emmy")
+    shared(folder, out=out, author="Noether, Emmy")
     return out
 
 
-def files_of(hub: Path, name: str) -> dict[str, list[str]]:
-    """The files of each split of a table, as the patterns of the card find them."""
-    (config,) = [one for one in fields(hub)["configs"] if one["config_name"] == name]
+def files_of(hub: Path) -> dict[str, list[str]]:
+    """The files of each split, as the patterns of the card find them."""
+    (config,) = fields(hub)["configs"]
     return {one["split"]: sorted(map(str, hub.glob(one["path"]))) for one in config["data_files"]}
 
 
@@ -57,103 +57,61 @@ def stored(folder: Path, name: str, kind: str, dataset: str) -> Any:
         return file[dataset][()]
 
 
-def test_configs_name_all_files_of_all_tables(hub: Path) -> None:
-    """Assert that each table is a configuration with both splits, whose patterns find each of its files once."""
-    given = fields(hub)
-    assert [one["config_name"] for one in given["configs"]] == ["trials", "slices", "dots", "events"]
-    assert [one["config_name"] for one in given["configs"] if one.get("default")] == ["trials"]
-    found = [files_of(hub, one["config_name"]) for one in given["configs"]]
-    assert all(list(one) == ["train", "test"] and all(len(files) == 1 for files in one.values()) for one in found)
-    every = sorted(str(path) for path in hub.rglob("*.parquet"))
-    assert sorted(file for one in found for files in one.values() for file in files) == every
-    assert given["size_categories"] == ["n<1K"] and "viewer" not in given
-
-
 def test_pandas_duckdb_and_polars_read_a_shared_folder(folder: Path, hub: Path) -> None:
-    """Assert that each of the three reads every table, joins them, and finds the numbers of the files."""
+    """Assert that each of the three finds the numbers of the files in tables that are alike, one file per trial."""
     import polars as pl  # of the extra `dev`
 
+    found = files_of(hub)
+    assert list(found) == ["train", "test"]
+    assert sorted(sum(found.values(), [])) == sorted(str(path) for path in hub.rglob("*.parquet"))
+    schemas = [pq.read_schema(file) for files in found.values() for file in files]
+    assert len(schemas) == 2 and schemas[0].equals(schemas[1])
+    assert {str(field.type) for field in schemas[0]} <= {"bool", "string", "int8", "uint8", "int32", "int64", "float",
+                                                         "double"}  # fmt: skip
+    assert {"touch_normal_n", "gripper_position_ticks", "label", f"dot_{DOTS - 1}_x_px"} <= set(schemas[0].names)
+    given = fields(hub)
+    assert given["size_categories"] == ["n<1K"] and "viewer" not in given
     forces = {name: stored(folder, name, "recording", "truth/normal_force_n") for name in TRIALS}
     dots = {name: stored(folder, name, "tracks", "dot_xy_px")[:, 7, 0] for name in TRIALS}
-    joined = pd.concat(map(pd.read_parquet, sum(files_of(hub, "slices").values(), []))).merge(
-        pd.concat(map(pd.read_parquet, sum(files_of(hub, "dots").values(), []))),
-        on=["trial", "t_ms"],
-        suffixes=("", "_2"),
-    )
+    joined = pd.concat(pd.read_parquet(hub / "tables" / split) for split in found)
+    lazy = pl.scan_parquet(f"{hub}/tables/*/*.parquet").sort("trial", "t_ms").collect()
     for name in TRIALS:
         one = joined[joined["trial"] == name].sort_values("t_ms")
         np.testing.assert_array_equal(one["truth_normal_force_n"], forces[name])
         np.testing.assert_array_equal(one["dot_07_x_px"], dots[name])
-
+        np.testing.assert_array_equal(lazy.filter(pl.col("trial") == name)["dot_07_x_px"].to_numpy(), dots[name])
     rows = duckdb.sql(f"""
-        SELECT t.trial, t.split, t.object, t.seed, t.slices, t.events, sum(s.truth_normal_force_n), first(s.recording)
-        FROM '{hub}/tables/trials/*.parquet' t
-        JOIN (SELECT *, 'x' AS recording FROM '{hub}/tables/slices/*/*.parquet') s USING (trial) GROUP BY ALL ORDER BY 1
+        SELECT trial, object, seed, count(*), sum(truth_normal_force_n) FROM '{hub}/tables/*/*.parquet'
+        GROUP BY ALL ORDER BY 1
     """).fetchall()
-    events = SLICES * EVENTS_A_SLICE
-    expected = [("learn/a", "train", 8, 1, SLICES, events), ("unseen/b", "test", 3, 2, SLICES, events)]
-    assert [row[:6] for row in rows] == expected
-    assert [row[6] for row in rows] == pytest.approx([forces[name].sum(dtype=float) for name in TRIALS])
-
-    lazy = pl.scan_parquet(f"{hub}/tables/events/*/*.parquet").sort("trial", "t_us", maintain_order=True).collect()
-    for name in TRIALS:
-        one = lazy.filter(pl.col("trial") == name)
-        np.testing.assert_array_equal(one["x"].to_numpy(), stored(folder, name, "recording", "events/x"))
-        np.testing.assert_array_equal(one["t_us"].to_numpy(), stored(folder, name, "recording", "events/t"))
-    assert pl.read_parquet(f"{hub}/tables/dots/train/*.parquet")["dot_07_x_px"].to_list() == dots["learn/a"].tolist()
+    assert [row[:4] for row in rows] == [(name, *facts, SLICES) for name, facts in TRIALS.items()]
+    assert [row[4] for row in rows] == pytest.approx([forces[name].sum(dtype=float) for name in TRIALS])
 
 
-def test_tables_are_plain(hub: Path) -> None:
-    """Assert that columns are numbers, truth values and text with units, alike in all files, and dots stand apart."""
-    for name in ("trials", "slices", "dots", "events"):
-        schemas = [pq.read_schema(file) for files in files_of(hub, name).values() for file in files]
-        assert all(one.equals(schemas[0]) for one in schemas)
-        types = {str(field.type) for field in schemas[0]}
-        assert types <= {"bool", "string", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
-                         "float", "double"}  # fmt: skip
-        assert all(field.metadata[b"units"] and field.metadata[b"long_name"] for field in schemas[0])
-        groups = [pq.read_metadata(file).num_row_groups for files in files_of(hub, name).values() for file in files]
-        assert groups == [1, 1]
-    slices, dots = (set(pq.read_schema(files_of(hub, name)["train"][0]).names) for name in ("slices", "dots"))
-    assert slices & dots == {"t_ms", "trial", "object", "sensor", "seed", "outcome", "simulated"}
-    assert {"touch_normal_n", "gripper_position_ticks", "label"} <= slices
-    assert {f"dot_{DOTS - 1}_x_px", "truth_dot_00_y_px", "lost_00", "displacement_05_px"} <= dots
-
-
-def test_without_splits_all_is_train_and_events_are_left_out(folder: Path, tmp_path: Path) -> None:
-    """Assert that a flat folder has the one split, no table of events, and a card that says so; two of a name too."""
+def test_without_splits_all_is_train(folder: Path, tmp_path: Path) -> None:
+    """Assert that a flat folder has the one split, also for two trials of a name, and a card that says so."""
     flat = tmp_path / "flat"
     (flat / "x").mkdir(parents=True)
     for path in (folder / "learn").iterdir():
-        shutil.copy(path, flat / path.name.replace("a.", "x-a."))
-        shutil.copy(path, flat / "x" / path.name)
+        shutil.copy(path, flat)
+        shutil.copy(path, flat / "x")
     shared(flat, out=tmp_path / "hub")
-    assert {name: list(files_of(tmp_path / "hub", name)) for name in ("trials", "slices", "dots")} == dict.fromkeys(
-        ("trials", "slices", "dots"), ["train"]
-    )
-    assert not (tmp_path / "hub" / "tables" / "events").exists()
-    assert sorted(path.name for path in (tmp_path / "hub" / "tables" / "slices" / "train").iterdir()) == [
-        "x-a-2.parquet", "x-a.parquet",
-    ]  # fmt: skip
-    named = pd.read_parquet(tmp_path / "hub" / "tables" / "trials" / "train.parquet")
-    assert sorted(named["trial"]) == ["x-a", "x/a"]
-    assert all((tmp_path / "hub" / recording).is_file() for recording in named["recording"])
+    files = files_of(tmp_path / "hub")
+    assert {split: [Path(name).name for name in names] for split, names in files.items()} == {
+        "train": ["a.parquet", "x__a.parquet"]
+    }
+    assert sorted(pd.read_parquet(tmp_path / "hub" / "tables" / "train")["trial"].unique()) == ["a", "x/a"]
     assert "not split into training and test data" in (tmp_path / "hub" / "README.md").read_text()
 
 
 def test_without_pyarrow_there_are_no_tables(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that the files are shared all the same, which is said with the command that installs it, and no viewer is
-    promised; and that events, which were asked for, are refused.
-    """  # fmt: skip
+    """Assert that the files are shared all the same, with the command that installs it, and no viewer is promised."""
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     result = share.run([folder], Share(), tmp_path / "hub")
     assert "tables need pyarrow" in result.summary["notes"] and "[convert]" in result.summary["notes"]
     assert not (tmp_path / "hub" / "tables").exists() and (tmp_path / "hub" / "data" / "learn").is_dir()
     assert fields(tmp_path / "hub")["viewer"] is False and "configs" not in fields(tmp_path / "hub")
     assert "Parquet" not in (tmp_path / "hub" / "README.md").read_text()
-    with pytest.raises(MissingLibrary, match="tables need pyarrow"):
-        shared(folder, out=tmp_path / "events", tables="events")
-    assert not (tmp_path / "events").exists()
 
 
 def test_nothing_is_left_of_tables_that_fail(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -162,7 +120,7 @@ def test_nothing_is_left_of_tables_that_fail(folder: Path, tmp_path: Path, monke
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(hub_tables, "write_rows", full)
+    monkeypatch.setattr(write_table, "write_rows", full)
     with pytest.raises(InputError, match="No space left"):
         shared(folder, out=tmp_path / "hub")
     assert list(tmp_path.iterdir()) == []
@@ -189,7 +147,6 @@ def test_limitations_are_those_of_the_files(folder: Path, hub: Path, tmp_path: P
     shared(real, out=tmp_path / "real-hub")
     page = (tmp_path / "real-hub" / "README.md").read_text()
     assert "no trial is simulated" in page and "known to differ" not in page and "truth_" not in page
-    assert "dots" not in [one["config_name"] for one in fields(tmp_path / "real-hub")["configs"]]
 
 
 def test_what_is_off_is_what_the_page_says() -> None:

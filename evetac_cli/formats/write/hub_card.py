@@ -27,7 +27,7 @@ class Card:
     links: dict[str, Path]  # name in the folder -> existing file outside the folder
     written: dict[str, bytes]  # name in the folder -> content
     note: str = ""  # a note for the person who shares the folder
-    more: Callable[[Path, Progress], object] | None = None  # writes further files into the folder
+    more: Callable[[Path, Progress], str] | None = None  # writes further files into the folder, returns a note
 
     def text(self) -> str:
         """Return the content of README.md."""

@@ -99,7 +99,6 @@ class SliceColumns(NamedTuple):
     """The columns of one dataset; read(start, stop) returns the slices [start, stop) as (rows, columns).
 
     Unknown values are masked: NaN, slices before the first row of a clock, slices after the end of a file.
-    of_dots: whether there is a column for each dot.
     """
 
     names: tuple[str, ...]
@@ -107,7 +106,6 @@ class SliceColumns(NamedTuple):
     unit: str
     dtype: np.dtype[Any]
     read: Callable[[int, int], Masked]
-    of_dots: bool = False
 
 
 def columns_of(files: TrialFiles) -> list[SliceColumns]:
@@ -205,7 +203,7 @@ def _of_file(file: StageFile, dot: Callable[[int], str]) -> Iterator[SliceColumn
         unit = row.unit or _unit_of_column(file, group, path.rpartition("/")[2])
         pairs = _names_and_meanings(replace(row, path=path, unit=unit), stored[path][1], PREFIX.get(file.kind, ""), dot)
         names, meanings = tuple(name for name, _ in pairs), tuple(words for _, words in pairs)
-        yield SliceColumns(names, meanings, unit, np.dtype(row.dtype), read, "dots" in across)
+        yield SliceColumns(names, meanings, unit, np.dtype(row.dtype), read)
 
 
 def _unit_of_column(file: StageFile, group: str, column: str) -> str:

@@ -71,23 +71,32 @@ def write_csv(files: TrialFiles, path: Path, progress: Progress) -> list[str]:
     return [*files.notes, *not_in_tables(files.recording)]
 
 
-def write_data_set(sources: Sequence[Path], opened: Opener, folder: Path, progress: Progress) -> WrittenFolder:
-    """Write many trials as one Parquet data set in a folder; raise InputError if two trials would get the same file."""
+def write_data_set(
+    sources: Sequence[Path],
+    opened: Opener,
+    folder: Path,
+    progress: Progress,
+    places: Sequence[tuple[str, str]] = (),
+) -> WrittenFolder:
+    """Write many trials as one Parquet data set in a folder; raise InputError if two trials would get the same file.
+
+    places: the folder and the name of each trial, instead of folders by object and sensor and the recordings' names.
+    """
     arrow = load_pyarrow(str(folder.parent))
     schemas, facts, slices = [], [], []
-    for source in sources:
+    for number, source in enumerate(sources):
         with opened(source) as files:
-            facts.append(files.facts())
+            facts.append({**files.facts(), **({"trial": places[number][1]} if places else {})})
             schemas.append(table_schema(arrow, columns_of(files), {}))
             slices.append(len(files.recording))
-    partitions = [name for name in PARTITIONS if all(trial_facts[name] is not None for trial_facts in facts)]
+    known = [name for name in PARTITIONS if all(trial_facts[name] is not None for trial_facts in facts)]
+    partitions = [] if places else known
     types = {name: type_ for name, type_ in typed(facts).items() if name not in partitions}
     table = arrow.unify_schemas([table_schema(arrow, [], types), *schemas])
     notes, done = [], 0
-    for source, trial_facts, rows in zip(sources, facts, slices, strict=True):
-        path = folder.joinpath(
-            *(_partition(name, trial_facts[name]) for name in partitions), f"{trial_facts['trial']}.parquet"
-        )
+    for number, (source, trial_facts, rows) in enumerate(zip(sources, facts, slices, strict=True)):
+        parts = [places[number][0]] if places else [_partition(name, trial_facts[name]) for name in partitions]
+        path = folder.joinpath(*parts, f"{trial_facts['trial'].replace('/', '__')}.parquet")
         if path.exists():
             raise InputError("two recordings would be written to the same file", where=str(source), found=path.name)
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -33,18 +33,11 @@ def run(
             raise InputError("only one data set can be shared at a time", where=str(files[1]), expected="one folder")
         card = data_card.describe(first, params, progress)
     else:
-        if params.tables != Share.tables:
-            raise InputError(
-                "has no effect on a model",
-                where="--tables",
-                expected="a folder of recordings",
-                found=str(first),
-            )
         card = model_card.describe(first, files[1:], params)
     name = first.resolve().name if first.is_dir() else stem(first)
     target = out if out is not None else first.resolve().with_name(f"{name}-hub")
     _check_free(target, first, force)
-    files_made, size = _lay_out(target, card, progress, force=force)
+    files_made, size, note = _lay_out(target, card, progress, force=force)
     row = {
         "output": str(target),
         "what": card.about["what"],
@@ -53,7 +46,7 @@ def run(
         "license": card.about["license"] or "none chosen",
         "upload": upload(target, card.about["title"], card.about["what"]),
     }
-    notes = "; ".join(filter(None, ("nothing was uploaded", card.note)))
+    notes = "; ".join(filter(None, ("nothing was uploaded", card.note, note)))
     return Outcome([row], bool(card.about["simulated"]), {"notes": notes})
 
 
@@ -67,8 +60,8 @@ def _check_free(target: Path, source: Path, force: bool) -> None:
     require_replaceable(target, force=force)
 
 
-def _lay_out(target: Path, card: Card, progress: Progress, *, force: bool) -> tuple[int, int]:
-    """Write or link all files of the folder; return their number and their size in bytes."""
+def _lay_out(target: Path, card: Card, progress: Progress, *, force: bool) -> tuple[int, int, str]:
+    """Write or link all files of the folder; return their number, their size in bytes, and a note."""
     texts = {CARD: json.dumps(plain(card.about), indent=1, sort_keys=True) + "\n", README: card.text()}
     with new_folder(target, force=force) as folder:
         for name, content in {**card.written, **{name: text.encode() for name, text in texts.items()}}.items():
@@ -81,7 +74,6 @@ def _lay_out(target: Path, card: Card, progress: Progress, *, force: bool) -> tu
                 os.link(source.resolve(), folder / name)
             except OSError:  # another disk, or one without hard links
                 shutil.copyfile(source, folder / name)
-        if card.more is not None:
-            card.more(folder, progress)
+        note = card.more(folder, progress) if card.more is not None else ""
         sizes = [path.stat().st_size for path in folder.rglob("*") if path.is_file()]
-    return len(sizes), sum(sizes)
+    return len(sizes), sum(sizes), note

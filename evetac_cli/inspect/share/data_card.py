@@ -11,8 +11,8 @@ from evetac_cli.console import format_value
 from evetac_cli.errors import InputError, MissingLibrary
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.formats.write.hub_card import Card, card_fields, inline, opening, table
-from evetac_cli.formats.write.hub_tables import EVENTS, SLICES, TRIALS, HubTables
-from evetac_cli.inspect.share.sections import citation, limitations, look, made_with, trials_of
+from evetac_cli.formats.write.write_table import load_pyarrow, write_data_set
+from evetac_cli.inspect.share.sections import SharedTrial, citation, limitations, look, made_with, trials_of
 from evetac_cli.jobs import Progress
 from evetac_cli.store.hdf5.disk import utf8_path
 from evetac_cli.store.index import IndexRow, read_index
@@ -24,12 +24,8 @@ SIZES = (
 )
 LARGER = "1B<n<10B"
 MOST_LISTED = 20  # objects or sensors
-HELD = {
-    TRIALS: "one row per trial: object, sensor, seed, outcome, length, file",
-    SLICES: "one row per slice of 1 ms: gripper, forces, labels, touch",
-    "dots": "one row per slice of 1 ms: position, displacement and events of each dot",
-    EVENTS: "one row per event",
-}
+TABLES = "tables"
+HELD = "one row per slice of 1 ms: gripper, forces, labels, touch, dots"
 
 READ = """Each trial is a set of HDF5 files with the same name. `evetac info DATA` lists them, `evetac view` shows one.
 Without evetac:
@@ -44,17 +40,9 @@ with h5py.File("data/NAME.recording.h5") as file:
 Every dataset has `units` and `long_name`, and the root attribute `header` describes how the file was made. To open
 a file with xarray, use `engine="h5netcdf"`. A short reader of each kind of file is in docs/read-without-evetac.md of
 evetac."""
-READ_TABLES = """The tables are Parquet. Column names end in their units, unknown values are null, and the metadata of
-each column describe it. Join the tables on `trial` and `t_ms`.
-
-```python
-import pandas
-
-trials = pandas.read_parquet("tables/trials/SPLIT.parquet")
-slices = pandas.read_parquet("tables/slices/SPLIT")
-```
-
-From the Hub, `datasets.load_dataset("NAME", "slices")` loads one of the tables listed above."""
+READ_TABLES = """The tables are Parquet, one file per trial. Column names end in their units, unknown values are null, and the metadata
+of each column describe it. `pandas.read_parquet("tables/SPLIT")` reads those of a split, and from the Hub
+`datasets.load_dataset("NAME")` reads all of them."""
 
 
 def describe(folder: Path, params: Share, progress: Progress) -> Card:
@@ -71,14 +59,13 @@ def describe(folder: Path, params: Share, progress: Progress) -> Card:
     if not rows:
         raise InputError("the folder has nothing to share", where=str(folder), expected="stage files")
     links = {f"data/{path}": folder / path for path in (row.path for row in rows)}
-    contents, tables, note = look(folder, rows, progress), None, ""
+    contents = look(folder, rows, progress)
     recordings = [row for row in rows if row.kind == "recording"]
-    if params.tables == EVENTS and not recordings:
-        raise InputError(
-            "the folder has no recordings", where="--tables events", expected="recordings", found=str(folder)
-        )
-    if params.tables != "none" and recordings:
-        tables, note = _tables(folder, recordings, params, progress)
+    shared = trials_of(folder, recordings)
+    note = _lacks_pyarrow() if shared else ""
+    tables = () if note else shared
+    splits = list(dict.fromkeys(trial.split for trial in tables))
+    slices = sum(row.slices or 0 for row in recordings) if tables else 0
     simulated = any(row.simulated for row in rows)
     title = params.title or folder.resolve().name
     trials = {row.recording or row.path: row for row in rows if row.kind != "recording" and row.recording}
@@ -95,57 +82,51 @@ def describe(folder: Path, params: Share, progress: Progress) -> Card:
             {"kind": kind, "files": count, "size_bytes": sum(row.size_bytes for row in rows if row.kind == kind)}
             for kind, count in sorted(Counter(str(row.kind) for row in rows).items())
         ],
-        "tables": _listed_tables(tables),
+        "tables": [{"table": TABLES, "holds": HELD, "rows": slices, "splits": ", ".join(splits)}] if tables else [],
         "formats": {kind: sorted(numbers) for kind, numbers in contents.formats.items()},
         "recipe_ids": sorted({row.recipe_id for row in recordings if row.recipe_id}),
     }
-    examples = max([*(tables.rows.values() if tables else ()), len(trials)])
+    examples = max(slices, len(trials))
+    files = [{"split": split, "path": f"{TABLES}/{split}/*.parquet"} for split in splits]
     fields = {
         **card_fields(simulated, params.license),
         "pretty_name": title,
         "task_categories": ["robotics"],
         "size_categories": [next((name for most, name in SIZES if examples < most), LARGER)],
         # Otherwise the Hub would guess from the HDF5 files, and show an error on its page.
-        **({"configs": tables.configs()} if tables else {"viewer": False}),
+        **({"configs": [{"config_name": "slices", "data_files": files}]} if tables else {"viewer": False}),
     }
-    page = _page(title, about, figures, tables, rows, params)
-    split = list(zip((trial.split for trial in trials_of(folder, recordings)), recordings, strict=True))
+    page = _page(title, about, figures, splits, rows, params)
+    split = list(zip((trial.split for trial in shared), recordings, strict=True))
     page += limitations(contents, list(trials.values()), split) if trials else []
     page += citation(params, title, "data set", contents.year) + made_with(
         title, "data set", contents.versions, contents.formats
     )
-    notes = "; ".join(filter(None, (passed_over, note, tables.note if tables else "", *_left_out(tables))))
+    notes = "; ".join(filter(None, (passed_over, note)))
     return Card(fields, page, about, links, {}, notes, partial(_write, tables) if tables else None)
 
 
-def _tables(
-    folder: Path, recordings: Sequence[IndexRow], params: Share, progress: Progress
-) -> tuple[HubTables | None, str]:
-    """Return the tables of all recordings; None and a note if pyarrow is missing, unless events are requested.
+def _lacks_pyarrow() -> str:
+    """Return a note on tables that cannot be written; empty if pyarrow is installed.
 
     This is not an error, because all measurements are in the HDF5 files, and the card then disables the Hub's viewer.
     """
+    try:
+        load_pyarrow(TABLES)
+    except MissingLibrary as error:
+        return f"no tables were written, so the Hub's viewer shows nothing: {error.message}; try: {error.hint}"
+    return ""
+
+
+def _write(trials: Sequence[SharedTrial], folder: Path, progress: Progress) -> str:
+    """Write the tables into a shared folder; return a note on data that they do not have."""
     from evetac_cli.inspect.export import trial_files  # imported here because it loads all formats
 
-    try:
-        trials = trials_of(folder, recordings)
-        return HubTables(trials, trial_files, events=params.tables == EVENTS, progress=progress), ""
-    except MissingLibrary as error:
-        if params.tables == EVENTS:
-            raise
-        return None, f"no tables were written, so the Hub's viewer shows nothing: {error.message}; try: {error.hint}"
-
-
-def _write(tables: HubTables, folder: Path, progress: Progress) -> None:
+    sources, places = [one.source for one in trials], [(one.split, one.name) for one in trials]
     with utf8_path(folder) as plain:
-        tables.write(plain, progress)
-
-
-def _left_out(tables: HubTables | None) -> list[str]:
-    if tables is None or not tables.left_out:
-        return []
-    more = len(tables.left_out) - 1
-    return [f"not in the tables: {tables.left_out[0]}" + (f", and {more} more" if more else "")]
+        left_out = write_data_set(sources, trial_files, plain / TABLES, progress, places).left_out
+    more = f", and {len(left_out) - 1} more" if len(left_out) > 1 else ""
+    return f"not in the tables: {left_out[0]}{more}" if left_out else ""
 
 
 def _figures(trials: Sequence[IndexRow]) -> dict[str, Any]:
@@ -156,21 +137,11 @@ def _figures(trials: Sequence[IndexRow]) -> dict[str, Any]:
     }
 
 
-def _listed_tables(tables: HubTables | None) -> list[dict[str, Any]]:
-    if tables is None:
-        return []
-    columns = tables.columns()
-    return [
-        {"table": name, "holds": HELD[name], "rows": rows, "columns": columns[name], "splits": ", ".join(tables.splits)}
-        for name, rows in tables.rows.items()
-    ]
-
-
 def _page(
     title: str,
     about: Mapping[str, Any],
     figures: Mapping[str, Any],
-    tables: HubTables | None,
+    splits: Sequence[str],
     rows: Sequence[IndexRow],
     params: Share,
 ) -> list[str]:
@@ -180,12 +151,12 @@ def _page(
         "## Contents",
         table([{"": name, "value": value} for name, value in figures.items() if value not in ("", 0)], format_value),
         table(about["files"], format_value),
+        table(about["tables"], format_value),
+        "## How to read it",
+        READ.replace("NAME", inline(rows[0].path.removesuffix(f".{rows[0].kind}.h5"))),
+        READ_TABLES.replace("SPLIT", splits[0]) if splits else "",
     ]
-    if tables is not None:
-        page.append(table(about["tables"], format_value))
-    page.append("## How to read it")
-    page.append(READ.replace("NAME", inline(rows[0].path.removesuffix(f".{rows[0].kind}.h5"))))
-    return page if tables is None else [*page, READ_TABLES.replace("SPLIT", tables.splits[0])]
+    return [part for part in page if part]
 
 
 def _listed(trials: Sequence[IndexRow], name: str) -> str:

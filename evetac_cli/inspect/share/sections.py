@@ -11,11 +11,10 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from evetac_cli import __version__
 from evetac_cli.commands.share import Share
-from evetac_cli.formats.write.hub_tables import SharedTrial
 from evetac_cli.jobs import Progress
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.index import IndexRow
@@ -58,6 +57,14 @@ MOST_LETTERS = 300  # of a name or title
 SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
 
 
+class SharedTrial(NamedTuple):
+    """A recording to share: its name (without ending) and its split in the data set, and its file."""
+
+    name: str
+    split: str
+    source: Path
+
+
 def trials_of(folder: Path, recordings: Sequence[IndexRow]) -> list[SharedTrial]:
     """Return the recordings of a folder with their splits; all are `train` if no folder names a split.
 
@@ -67,10 +74,7 @@ def trials_of(folder: Path, recordings: Sequence[IndexRow]) -> list[SharedTrial]
     rest = OTHER if any(found) else "train"
     return [
         SharedTrial(
-            as_utf8((Path(row.path).parent / stem(Path(row.path))).as_posix()),
-            as_utf8(row.path),
-            folder / row.path,
-            split or rest,
+            as_utf8((Path(row.path).parent / stem(Path(row.path))).as_posix()), split or rest, folder / row.path
         )
         for row, split in zip(recordings, found, strict=True)
     ]
