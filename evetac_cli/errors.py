@@ -35,7 +35,7 @@ MEMORY_HINT = "a shorter recording (evetac trim), or fewer --jobs"
 # Libraries that only some commands need: the extra that installs them, and their import names.
 EXTRAS = {
     "camera": ("dv_processing",),
-    "convert": ("rosbags", "mcap", "faery", "lz4", "zstandard", "hdf5plugin", "pyarrow", "zarr", "PIL", "av"),
+    "convert": ("rosbags", "mcap", "faery", "lz4", "zstandard", "hdf5plugin", "pyarrow", "PIL", "av"),
     "plot": ("matplotlib", "bokeh", "PIL"),
     "cluster": ("dask", "distributed", "cryptography"),
     "robot": ("mujoco", "gymnasium", "cma"),

@@ -20,8 +20,7 @@ exports.py writes them:
     aedat4          write/event_files         what DV and dv-processing read; needs the extra `convert` (faery)
     dsec            write/event_files         HDF5 as in the DSEC data set: events/{x,y,t,p}, ms_to_idx, t_offset
     text            write/event_files         one line `t_us x y p` per event
-    raw, raw-evt2   write/write_prophesee     Prophesee's RAW, EVT3 or EVT2
-    dat             write/write_prophesee     Prophesee's DAT
+    raw             write/event_files         Prophesee's RAW, EVT3
     mcap            write/write_mcap          ROS 2 messages, with dots, touch, gripper and control; `convert` (mcap)
     calibration     calibration_files         the dot grid: JSON, or the pickle that the official software reads
     parquet, csv    write/write_table         a trial, one row per slice; Parquet also many; extra `convert` (pyarrow)

@@ -21,7 +21,6 @@ from evetac_cli.formats.write import (
     event_files,
     write_event_images,
     write_mcap,
-    write_prophesee,
     write_table,
 )
 from evetac_cli.formats.write.lerobot import write_lerobot
@@ -66,17 +65,16 @@ OF_LEROBOT = (
 
 
 def _images(kind: Kind, *takes: str) -> ExportFormat:
-    suffixes = f".{kind}.npz", *write_event_images.SUFFIXES
-    return ExportFormat(suffixes, write_event_images.writer(kind), events=False, takes=(*OF_IMAGES, *takes))
+    return ExportFormat(
+        (f".{kind}.npz", ".npz"), write_event_images.writer(kind), events=False, takes=(*OF_IMAGES, *takes)
+    )
 
 
 FORMATS = {
     "aedat4": ExportFormat((".aedat4",), event_files.write_aedat4),
     "dsec": ExportFormat((".dsec.h5", ".h5", ".hdf5"), event_files.write_dsec),
     "text": ExportFormat((".txt",), event_files.write_text),
-    "raw": ExportFormat((".raw",), write_prophesee.write_evt3),
-    "raw-evt2": ExportFormat((".raw",), write_prophesee.write_evt2),
-    "dat": ExportFormat((".dat",), write_prophesee.write_dat),
+    "raw": ExportFormat((".raw",), event_files.write_raw),
     "mcap": ExportFormat((".mcap",), write_mcap.write, of_trial=True, holds=write_mcap.HOLDS),
     "calibration": ExportFormat((".calibration.json", ".json", ".pkl"), calibration_files.write, events=False),
     "parquet": ExportFormat((".parquet",), write_table.write_parquet, **TABLE, write_folder=write_table.write_data_set),

@@ -1,4 +1,4 @@
-"""Write the events of a recording as text, as HDF5 of the DSEC data set, and as AEDAT4.
+"""Write the events of a recording as text, as HDF5 of the DSEC data set, as AEDAT4, and as Prophesee's RAW.
 
 In text, one line per event is `t x y p`, t in us on the source's clock; numpy.loadtxt reads it. In HDF5, the columns
 are events/{x,y,t,p}; t counts in us from t_offset, and ms_to_idx[k] is the first event at k ms or later. They are
@@ -6,6 +6,11 @@ compressed with gzip, which every HDF5 tool reads; DSEC's Blosc needs a plugin. 
 minutes, otherwise 64. Dimension scales, which evetac's own files have, would be datasets that DSEC does not have.
 AEDAT4 is one stream, compressed with LZ4, which dv-processing reads. faery, of the extra `convert`, writes it; its
 encoder reports no error when the disk is full, so the file is checked after writing.
+
+RAW has text lines that begin with "% ", then words of EVT3, 16 bits, the upper four of which are the type: 8 high bits
+of time, 6 low bits of time, 0 row, 2 column and polarity; only values that change are written again. Times count from
+the start of the recording; the start on the source's clock is stored in the text lines, and so is the note, which faery
+would not write. Source: Prophesee's documentation of EVT 3.0.
 """
 
 from collections.abc import Iterator
@@ -14,11 +19,13 @@ from typing import Any
 from xml.sax.saxutils import escape
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, needs_extra
 from evetac_cli.events import Events
 from evetac_cli.formats.note import NAME, Note
 from evetac_cli.formats.read.aedat4_packets import read_header, walk
+from evetac_cli.formats.read.prophesee.read_prophesee import OFFSET
 from evetac_cli.jobs import Progress
 from evetac_cli.store.hdf5.chunks import RowWriter, put
 from evetac_cli.store.hdf5.disk import new_file
@@ -33,6 +40,9 @@ SHORT_MS = 2**32 // 1000
 PACKET_EVENTS = 8192  # some 10 ms of a busy sensor, the packet length that recorders of AEDAT4 use
 AEDAT4_EVENT = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])  # the type that faery accepts
 LZ4 = ("lz4", 1)
+TIME_HIGH, TIME_LOW, ROW, COLUMN = 8, 6, 0, 2  # types of words of EVT3
+RAW_MOST_PX = 2**11  # columns and rows
+RAW_HEAD = "% evt 3.0\n% format EVT3;height={height};width={width}\n% geometry {width}x{height}\n"
 
 
 def pieces(recording: Recording, progress: Progress) -> Iterator[Events]:
@@ -114,6 +124,42 @@ def write_aedat4(recording: Recording, path: Path, progress: Progress) -> None:
         trouble = str(error)
     if trouble:
         raise InputError("the AEDAT4 file could not be written", where=where, found=trouble, hint="is the disk full?")
+
+
+def write_raw(recording: Recording, path: Path, progress: Progress) -> None:
+    """Write the text lines, then the words; raise InputError if the frame is too large for EVT3."""
+    width, height = recording.frame_px
+    if max(width, height) > RAW_MOST_PX:
+        message, where = "the recording does not fit into EVT3", str(recording.path)
+        expected, hint = f"at most {RAW_MOST_PX}x{RAW_MOST_PX} px", "export the recording as dsec or text"
+        raise InputError(message, where=where, expected=expected, found=f"{width}x{height}", hint=hint)
+    lines = f"% {NAME} {note_for(recording, 0).text()}\n% {OFFSET} {t_offset_us(recording)}\n% end\n"
+    with path.open("wb") as file:
+        file.write((RAW_HEAD.format(width=width, height=height) + lines).encode())
+        for words in _evt3_words(pieces(recording, progress)):
+            file.write(words.tobytes())
+
+
+def _evt3_words(parts: Iterator[Events]) -> Iterator[NDArray[Any]]:
+    """Encode EVT3 words. The 24 bits of time wrap every 16.8 s, so all high bits are written, as sensors do."""
+    high, t_us, row = -1, -1, -1
+    for events in parts:
+        y = events.y.astype(np.int64)
+        steps = np.diff(events.t >> 12, prepend=high)
+        later, moved = np.diff(events.t, prepend=t_us) != 0, np.diff(y, prepend=row) != 0
+        last = np.cumsum(steps + later + moved + 1) - 1  # the index of each event's column word, which is its last
+        words = np.empty(last[-1] + 1, np.uint16)
+        times = np.ones(len(words), bool)  # the indices of high bits: those that no other word occupies
+        for place, word in (
+            (last, COLUMN << 12 | events.p.astype(np.int64) << 11 | events.x),
+            ((last - 1)[moved], (ROW << 12 | y)[moved]),
+            ((last - 1 - moved)[later], (TIME_LOW << 12 | events.t & 0xFFF)[later]),
+        ):
+            words[place] = word
+            times[place] = False
+        words[times] = TIME_HIGH << 12 | (np.arange(high + 1, high + 1 + np.count_nonzero(times)) & 0xFFF)
+        yield words.astype("<u2", copy=False)
+        high, t_us, row = int(events.t[-1]) >> 12, int(events.t[-1]), int(y[-1])
 
 
 def aedat4_description(aedat: Any, frame_px: tuple[int, int], note: str = "") -> list[Any]:

@@ -1,4 +1,4 @@
-"""Write the events of a recording as images for networks: npz or a zarr store in one zip file.
+"""Write the events of a recording as images for networks, in npz files.
 
 Every file has `images` (n, ...) and `end_us` (n,), and under `evetac`, as JSON, the parameters of the images and the
 recording's header. The images are bit for bit those of `Recording.frames` and the similar methods.
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.errors import InputError, needs_extra
+from evetac_cli.errors import InputError
 from evetac_cli.formats.write.slice_columns import TrialFiles
 from evetac_cli.formats.write.write_table import provenance
 from evetac_cli.jobs import Progress
@@ -23,8 +23,6 @@ from evetac_cli.store.recordings.read import RATE_HZ, Recording
 if TYPE_CHECKING:  # compiled code, which other exports do not need
     from evetac_cli.kernels.event_drawing import ImageBlock
 
-SUFFIXES = (".npz", ".zarr.zip", ".zip")
-CHUNK_BYTES = 1 << 20  # of a zarr store
 NPZ_LEVEL = 1  # images are mostly zeros: higher levels gain little and take several times as long
 
 
@@ -50,8 +48,7 @@ def writer(kind: Kind) -> Callable[..., list[str]]:
         shows = {name: getattr(of, name) for name in of.used}
         description = json.dumps({"representation": shows, **provenance(files, files.facts())})
         count = of.images(len(recording))
-        by_suffix = {".npz": _npz, ".zip": _zarr}
-        by_suffix[path.suffix.lower()](path, of, count, description, _shown(recording.images(of), count, progress))
+        _npz(path, of, count, description, _shown(recording.images(of), count, progress))
         return [] if count else [f"all events: the recording ends before the first image would, at {of.end(0)} ms"]
 
     return write
@@ -82,25 +79,3 @@ def _npz(path: Path, of: Representation, count: int, description: str, blocks: I
         ):
             with archive.open(f"{name}.npy", "w") as member:
                 np.lib.format.write_array(cast(BinaryIO, member), array, allow_pickle=False)
-
-
-def _zarr(path: Path, of: Representation, count: int, description: str, blocks: Iterator["ImageBlock"]) -> None:
-    """Write a group in one zip file, in version 2 of zarr's format, which replay buffers for policies use."""
-    with needs_extra("a zarr store needs zarr", "convert", str(path.parent)):
-        import zarr
-    image_bytes = int(np.prod(of.shape)) * np.dtype(of.dtype).itemsize
-    chunk = min(max(1, CHUNK_BYTES // image_bytes), max(1, count))
-    with zarr.storage.ZipStore(path, mode="w") as store:
-        group = zarr.create_group(store, zarr_format=2, attributes={"evetac": json.loads(description)})
-        images = group.create_array("images", shape=(count, *of.shape), chunks=(chunk, *of.shape), dtype=of.dtype)
-        ends, kept, first = [np.empty(0, np.int64)], np.empty((0, *of.shape), of.dtype), 0
-        for block in blocks:
-            ends.append(block.end_us)
-            kept = np.concatenate([kept, block.images])
-            whole = len(kept) // chunk * chunk  # only whole chunks: a chunk written twice is stored twice in a zip file
-            if whole:
-                images[first : first + whole] = kept[:whole]
-                first, kept = first + whole, kept[whole:]
-        if len(kept):
-            images[first:] = kept
-        group.create_array("end_us", data=np.concatenate(ends))

@@ -40,8 +40,8 @@ with h5py.File("data/NAME.recording.h5") as file:
 Every dataset has `units` and `long_name`, and the root attribute `header` describes how the file was made. To open
 a file with xarray, use `engine="h5netcdf"`. A short reader of each kind of file is in docs/read-without-evetac.md of
 evetac."""
-READ_TABLES = """The tables are Parquet, one file per trial. Column names end in their units, unknown values are null, and the metadata
-of each column describe it. `pandas.read_parquet("tables/SPLIT")` reads those of a split, and from the Hub
+READ_TABLES = """The tables are Parquet, one file per trial. Columns end in their units, unknown values are null, and
+the metadata of each column describe it. `pandas.read_parquet("tables/SPLIT")` reads those of a split; from the Hub,
 `datasets.load_dataset("NAME")` reads all of them."""
 
 

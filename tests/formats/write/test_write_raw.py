@@ -1,4 +1,4 @@
-"""RAW and DAT as we write them: read by others' programs, in long silence, at the limits of their bits, and cut."""
+"""RAW as we write it: read by others' programs, in long silence, at the limits of their bits, and cut."""
 
 from pathlib import Path
 from typing import Any
@@ -11,44 +11,37 @@ from hypothesis import strategies as st
 from evetac_cli.events import Events
 from evetac_cli.formats.exports import export, target_path
 from evetac_cli.formats.imports import read_events
-from evetac_cli.formats.write import event_files, write_prophesee
-from evetac_cli.jobs import silent
-from evetac_cli.store.recordings.read import open_recording
+from evetac_cli.formats.write import event_files
 from tests.formats.test_exports import drawn, refusal, write
 from tests.importing import same
 
 faery = pytest.importorskip("faery")
 
-FORMATS = ("raw", "raw-evt2", "dat")
-ENCODINGS = {"raw": "evt3", "raw-evt2": "evt2", "dat": "dat"}  # as expelliarmus calls them
 
-
-def exported(folder: Path, events: Events, slices: int, format_: str, **more: Any) -> Path:
+def exported(folder: Path, events: Events, slices: int, **more: Any) -> Path:
     source = write(folder / "a.recording.h5", events, slices, **more)
-    target = target_path(source, format_, folder / format_)
-    export(source, format_, target)
+    target = target_path(source, "raw", folder / "raw")
+    export(source, "raw", target)
     return target
 
 
-@pytest.mark.parametrize("format_", FORMATS)
-def test_other_programs_read_ours(tmp_path: Path, format_: str) -> None:
+def test_other_programs_read_ours(tmp_path: Path) -> None:
     """Assert that faery and expelliarmus find every event with its time since the start, and faery the frame.
 
     expelliarmus adds a turn of the low bits of EVT3's time wherever the high bits count it already, also in files of
     faery and of its own: of that time the low bits are compared.
     """
     events = drawn(30_000)
-    path = exported(tmp_path, events, 8000, format_, t_offset=1_700_000_000_000_000, simulated=True)
+    path = exported(tmp_path, events, 8000, t_offset=1_700_000_000_000_000, simulated=True)
     stream = faery.events_stream_from_file(path)
     assert stream.dimensions() == (640, 480)
     rows = np.concatenate(list(stream))
     for ours, theirs in zip(events, ("t", "x", "y", "on"), strict=True):
         np.testing.assert_array_equal(rows[theirs], ours)
-    wizard = pytest.importorskip("expelliarmus").Wizard(encoding=ENCODINGS[format_])
+    wizard = pytest.importorskip("expelliarmus").Wizard(encoding="evt3")
     rows = wizard.read(path)
-    mask = 0xFFF if format_ == "raw" else -1
     for ours, theirs in zip(events, "txyp", strict=True):
-        np.testing.assert_array_equal(rows[theirs].astype(np.int64) & mask, ours.astype(np.int64) & mask)
+        np.testing.assert_array_equal(rows[theirs].astype(np.int64) & 0xFFF, ours.astype(np.int64) & 0xFFF)
     assert b'"simulated": true' in path.read_bytes()[:1000]
 
 
@@ -56,11 +49,10 @@ def test_other_programs_read_ours(tmp_path: Path, format_: str) -> None:
 @given(
     gaps_us=st.lists(st.sampled_from([0, 0, 1, 63, 64, 4095, 4096, 70_000, 17_000_000]), min_size=1, max_size=20),
     places=st.randoms(use_true_random=False),
-    format_=st.sampled_from(FORMATS),
     piece=st.integers(1, 7),
 )
 def test_silence_of_any_length_is_kept(
-    tmp_path_factory: pytest.TempPathFactory, gaps_us: list[int], places: Any, format_: str, piece: int
+    tmp_path_factory: pytest.TempPathFactory, gaps_us: list[int], places: Any, piece: int
 ) -> None:
     """Assert that clocks of few bits are followed through silence longer than they are, in pieces of any size."""
     t = np.cumsum(np.array(gaps_us, np.int64))
@@ -68,39 +60,30 @@ def test_silence_of_any_length_is_kept(
     events = Events(t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(event_files, "PIECE_EVENTS", piece)
-        path = exported(tmp_path_factory.mktemp("silence"), events, int(t[-1]) // 1000 + 1, format_)
+        path = exported(tmp_path_factory.mktemp("silence"), events, int(t[-1]) // 1000 + 1)
     assert same(read_events(path).events, events)
 
 
-@pytest.mark.parametrize(("format_", "most_px"), [("raw", 2048), ("raw-evt2", 2048), ("dat", 16384)])
-def test_frames_that_fit_are_written_and_larger_ones_refused(tmp_path: Path, format_: str, most_px: int) -> None:
+def test_frames_that_fit_are_written_and_larger_ones_refused(tmp_path: Path) -> None:
     """Assert that the corner of the largest frame comes back, and that a pixel more is refused in words."""
+    most_px = 2048
     events = drawn(2)._replace(x=np.array([0, most_px - 1], np.uint16), y=np.array([most_px - 1, 0], np.uint16))
     more = {"sensor/frame_px": np.array([most_px, most_px], np.int32)}
-    path = exported(tmp_path, events, 9, format_, more=more)
+    path = exported(tmp_path, events, 9, more=more)
     imported = read_events(path)
     assert same(imported.events, events) and imported.frame_px == (most_px, most_px)
     path.unlink()
     more["sensor/frame_px"] = np.array([most_px + 1, 10], np.int32)
     events = events._replace(y=np.zeros(2, np.uint16))
-    words = refusal(lambda: exported(tmp_path, events, 9, format_, more=more))
+    words = refusal(lambda: exported(tmp_path, events, 9, more=more))
     assert f"at most {most_px}x{most_px} px" in words and f"{most_px + 1}x10" in words
     assert list(path.parent.iterdir()) == []
-
-
-def test_too_long_a_recording_is_refused(tmp_path: Path) -> None:
-    """Assert that a recording of more time than the words can tell is refused before anything is written."""
-    short = write_prophesee.DAT._replace(most_us=60e6)
-    with open_recording(write(tmp_path / "a.recording.h5", drawn(3), 60_001)) as recording:
-        words = refusal(lambda: write_prophesee._write(short, recording, tmp_path / "a.dat", silent))
-    assert "expected: at most 1 min" in words and "found:    1.0 min" in words
-    assert not (tmp_path / "a.dat").exists()
 
 
 @pytest.mark.parametrize("offset", ["x", "9" * 17, str(2**53), "-"])
 def test_a_damaged_offset_is_refused(tmp_path: Path, offset: str) -> None:
     """Assert that a line of ours that says anything else than microseconds is not believed."""
-    path = exported(tmp_path, drawn(5), 9, "raw", t_offset=77)
+    path = exported(tmp_path, drawn(5), 9, t_offset=77)
     assert read_events(path).t_offset_us == 77
     path.write_bytes(path.read_bytes().replace(b"t_offset_us 77", b"t_offset_us " + offset.encode()))
     assert "`t_offset_us` is damaged" in refusal(lambda: read_events(path))
