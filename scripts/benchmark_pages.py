@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.commands.share import Share
 from evetac_cli.console import format_value
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.formats.write.hub_card import card_fields, card_text, opening, table
@@ -75,7 +74,6 @@ def card(about: Mapping[str, Any], rows: Sequence[Row], lifts: Mapping[str, Row]
         {"": "sensors", "value": len({row["true_sensor"] for row in rows})},
         {"": "objects and faces", "value": len({row["true_object"] for row in rows})},
     ]
-    share = Share(title=title, license=LICENSE)
     page = [
         *opening(title, simulated=True, license_=LICENSE),
         "Recordings of a simulated event-based tactile sensor (Evetac), to compare methods for slip, force, dots and"
@@ -89,8 +87,8 @@ def card(about: Mapping[str, Any], rows: Sequence[Row], lifts: Mapping[str, Row]
         PREDICT,
         "## Limitations",
         f"- All trials are simulated: no real sensor, object or gripper was involved.\n- {UNLIKE}",
-        *citation(share, title, "data set", None),
-        *made_with(title, "data set", (), {}),
+        *citation(None, "data set"),
+        *made_with((), {}),
     ]
     return card_text({**card_fields(True, LICENSE), "pretty_name": title, "viewer": False}, page)
 

@@ -99,9 +99,8 @@ def test_what_tables_and_cards_say_of_a_name(folder: Path, monkeypatch: pytest.M
     answer_with("export {n}.recording.h5 --format parquet -o t.parquet", name)
     assert set(pyarrow.parquet.read_table("t.parquet")["trial"].to_pylist()) == {as_utf8(name)}
     answer_with("share . -o ../hub --title {n}", name)
-    (folder.parent / "hub" / "README.md").read_text(encoding="utf-8")
-    about = json.loads((folder.parent / "hub" / "card.json").read_text(encoding="utf-8"))
-    assert about["title"] == name
+    page = (folder.parent / "hub" / "README.md").read_text(encoding="utf-8")
+    assert f"pretty_name: {as_utf8(json.dumps(name, ensure_ascii=False))}" in page
     assert (folder.parent / "hub" / "data" / f"{name}.recording.h5").exists()
     answer_with("report . -o page.html", name)
     Path("page.html").read_text(encoding="utf-8")

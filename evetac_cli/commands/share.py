@@ -23,7 +23,7 @@ class Share:
     )
     author: str | None = parameter(
         None,
-        "Authors, in BibTeX form, e.g. 'Noether, Emmy and Turing, Alan'; default: none.",
+        "Authors, e.g. 'Noether, Emmy and Turing, Alan'; default: none.",
         recipe=False,
     )
 

@@ -18,8 +18,10 @@ from typer.testing import CliRunner
 from evetac_cli.cli.main import app
 from evetac_cli.commands.evaluate import EvaluateSlip
 from evetac_cli.commands.share import Share
+from evetac_cli.console import format_value
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import slip
+from evetac_cli.formats.write.hub_card import inline
 from evetac_cli.inspect import share
 from evetac_cli.inspect.share import sections
 from evetac_cli.resources import PACKAGE
@@ -57,27 +59,27 @@ def test_model_card(made: Made, tmp_path: Path) -> None:
     out = tmp_path / "hub"
     row = shared(made.model, out=out, license="mit")
     assert sorted(path.name for path in out.iterdir()) == [
-        "README.md", "card.json", "hist10.model.h5", "model.onnx", "training.csv",
+        "README.md", "hist10.model.h5", "model.onnx", "training.csv",
     ]  # fmt: skip
-    assert row["files"] == 5
+    assert row["files"] == 4
     assert row["size_bytes"] == sum(path.stat().st_size for path in out.iterdir())
     assert (out / "hist10.model.h5").read_bytes() == made.model.read_bytes()
-    about = json.loads((out / "card.json").read_text())
+    page = (out / "README.md").read_text()
     with StageFile(made.model) as file:
         assert (out / "model.onnx").read_bytes() == file.read("onnx").tobytes()
-        assert about["recipe_id"] == file.header["id"]
-        assert about["figures"]["threshold"] == float(file.read("threshold"))
-        assert about["training"] == file.header["parameters"]
-    assert about["simulated"] is True
-    assert [(one["used"], one["trajectories"], one["objects"]) for one in about["data"]] == [
-        ("trained on", 2, "8"),
-        ("validated on", 1, "8"),
+        assert f"Recipe id `{file.header['id']}`" in page
+        assert f"| threshold | {inline(format_value(float(file.read('threshold'))))} |" in page
+        assert f"| preset | {file.header['parameters']['preset']} |" in page
+    assert re.findall(
+        r"^\| (trained on|validated on) \|.*\| (\d) \| (\d) \| \S+ (?:to \S+ )?\| yes \|$", page, re.M
+    ) == [
+        ("trained on", "2", "8"),
+        ("validated on", "1", "8"),
     ]
     given = fields(out)
     assert given["license"] == "mit"
     assert given["pipeline_tag"] == "robotics"
     assert "simulated" in given["tags"]
-    page = (out / "README.md").read_text()
     assert "**Simulated.**" in page
     assert "This card has no evaluation" in page
     assert "No license" not in page
@@ -90,10 +92,10 @@ def test_model_card_with_a_report(made: Made, tmp_path: Path) -> None:
     (job,) = slip.jobs([made.folder / "apart.features.h5"], chosen, tmp_path / "apart.slip.report.h5")
     rows = slip.run(job, chosen).rows
     shared(made.model, job.output, out=tmp_path / "hub")
-    (judged,) = json.loads((tmp_path / "hub" / "card.json").read_text())["evaluations"]
+    page = (tmp_path / "hub" / "README.md").read_text()
     first = next(row for row in rows if "f1" in row)  # others are covariates of the slips
-    assert judged["simulated"] and judged["figures"].items() >= {"f1": first["f1"]}.items()
-    assert "This card has no evaluation" not in (tmp_path / "hub" / "README.md").read_text()
+    (judged,) = re.findall(r"^\| evaluate slip \|.*\| (\S+) \| yes \|$", page, re.M)
+    assert judged == inline(format_value(first["f1"])) and "This card has no evaluation" not in page
     other = tmp_path / "other.slip.report.h5"
     arrays = {"command": "evaluate slip", "rows": "[]", "summary": "{}"}
     write_stage(other, Recipe("report", 1, {}), arrays, force=True)
@@ -127,15 +129,15 @@ def test_data_card(trials: Path, tmp_path: Path) -> None:
     assert given["license"] == "other"
     assert given["pretty_name"] == 'Slips: *one* | "two"\n---'
     assert given["task_categories"] == ["robotics"]
-    assert given["size_categories"] == ["n<1K"]
     page = (out / "README.md").read_text()
     assert '# Slips: \\*one\\* \\| "two" ---' in page
     assert "No license is chosen" in page
     assert "**Simulated.**" in page
-    about = json.loads((out / "card.json").read_text())
-    assert about["figures"]["trials"] == 1
-    assert about["figures"]["duration_s"] == small_files.SLICES / 1000
-    assert {one["kind"]: one["files"] for one in about["files"]}["recording"] == 1
+    assert "| trials | 1 |" in page
+    assert f"| duration\\_s | {format_value(small_files.SLICES / 1000)} |" in page.replace(
+        "| duration_s", "| duration\\_s"
+    )
+    assert "| recording | 1 |" in page
 
 
 def test_other_disks_get_a_copy(trials: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -164,10 +166,9 @@ def test_nothing_is_replaced_unasked(trials: Path, tmp_path: Path) -> None:
     mine = tmp_path / "mine"
     mine.mkdir()
     (mine / "thesis.tex").touch()
-    (mine / "card.json").write_text("{}")  # of somebody else's
     with pytest.raises(InputError, match="is not replaced"):
         shared(trials, out=mine, force=True)
-    assert (mine / "thesis.tex").exists() and (mine / "card.json").read_text() == "{}"
+    assert (mine / "thesis.tex").exists()
     visible = [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")]
     assert sorted(visible) == ["a trial", "hub", "mine"]
 
@@ -240,11 +241,6 @@ def test_the_paper_is_that_of_citation_cff() -> None:
     assert f"year = {{{year}}}" in sections.PAPER
 
 
-def test_odd_names_stay_one_entry() -> None:
-    """Assert that no text ends a field, a block or the page, whatever signs it has."""
-    page = sections.citation(Share(author="A} }\n```\n# B & C_1 \\x"), "100 % {slip}\n", "model", None)
-    entry = page[-1]
-    assert entry.count("```") == 3 and re.findall(r"^```.*$", entry, re.MULTILINE) == ["```bibtex", "```"]
-    assert "author = {A\\} \\} ``` \\# B \\& C\\_1 \\textbackslash{}x}," in entry
-    assert "title = {{100 \\% \\{slip\\}}}," in entry and "year" not in entry
-    assert entry.splitlines()[1] == "@misc{100-slip,"
+def test_odd_names_stay_in_their_line() -> None:
+    """Assert that the name of an author cannot end a block or the page."""
+    assert sections.citation("A}\n```\n# B *C*", "model")[-1] == "Authors of this model: A} \\`\\`\\` \\# B \\*C\\*."

@@ -19,11 +19,13 @@ SIMULATED = "**Simulated.** Some or all of the data and figures on this page com
 
 @dataclass(frozen=True)
 class Card:
-    """The contents of a shared folder: fields for the Hub, the page below them, the same as JSON, and the files."""
+    """The contents of a shared folder: fields for the Hub, the page below them, and the files."""
 
+    what: str  # slip detector, force model or data set
+    title: str
+    simulated: bool
     fields: dict[str, Any]  # of the front matter
     page: list[str]  # paragraphs of Markdown
-    about: dict[str, Any]  # card.json
     links: dict[str, Path]  # name in the folder -> existing file outside the folder
     written: dict[str, bytes]  # name in the folder -> content
     note: str = ""  # a note for the person who shares the folder

@@ -4,22 +4,20 @@ The folder appears only when it is complete. Files of a data set are hard links 
 take no space twice. Links are safe because evetac never changes files but replaces them by new ones.
 """
 
-import json
 import os
+import re
+import shlex
 import shutil
 from pathlib import Path
 
 from evetac_cli.commands.share import Share
-from evetac_cli.console import plain
 from evetac_cli.errors import InputError
 from evetac_cli.formats.write.hub_card import Card
 from evetac_cli.inspect.share import data_card, model_card
-from evetac_cli.inspect.share.sections import upload
 from evetac_cli.jobs import Outcome, Progress, require_possible_name, silent
 from evetac_cli.store.files import stem
 from evetac_cli.store.made_folders import new_folder, require_replaceable
 
-CARD = "card.json"
 README = "README.md"
 
 
@@ -40,14 +38,14 @@ def run(
     files_made, size, note = _lay_out(target, card, progress, force=force)
     row = {
         "output": str(target),
-        "what": card.about["what"],
+        "what": card.what,
         "files": files_made,
         "size_bytes": size,
-        "license": card.about["license"] or "none chosen",
-        "upload": upload(target, card.about["title"], card.about["what"]),
+        "license": params.license or "none chosen",
+        "upload": _upload(target, card),
     }
     notes = "; ".join(filter(None, ("nothing was uploaded", card.note, note)))
-    return Outcome([row], bool(card.about["simulated"]), {"notes": notes})
+    return Outcome([row], card.simulated, {"notes": notes})
 
 
 def _check_free(target: Path, source: Path, force: bool) -> None:
@@ -62,9 +60,8 @@ def _check_free(target: Path, source: Path, force: bool) -> None:
 
 def _lay_out(target: Path, card: Card, progress: Progress, *, force: bool) -> tuple[int, int, str]:
     """Write or link all files of the folder; return their number, their size in bytes, and a note."""
-    texts = {CARD: json.dumps(plain(card.about), indent=1, sort_keys=True) + "\n", README: card.text()}
     with new_folder(target, force=force) as folder:
-        for name, content in {**card.written, **{name: text.encode() for name, text in texts.items()}}.items():
+        for name, content in {**card.written, README: card.text().encode()}.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(content)
         for number, (name, source) in enumerate(card.links.items()):
@@ -77,3 +74,10 @@ def _lay_out(target: Path, card: Card, progress: Progress, *, force: bool) -> tu
         note = card.more(folder, progress) if card.more is not None else ""
         sizes = [path.stat().st_size for path in folder.rglob("*") if path.is_file()]
     return len(sizes), sum(sizes), note
+
+
+def _upload(target: Path, card: Card) -> str:
+    """Return the command of the Hub's own tool that uploads a folder; NAME is the account."""
+    kind = " --repo-type dataset" if card.what == "data set" else ""
+    slug = re.sub(r"[^a-z0-9]+", "-", card.title.lower()).strip("-")[:60] or "evetac"
+    return f"hf upload NAME/{slug} {shlex.quote(str(target))}{kind}"

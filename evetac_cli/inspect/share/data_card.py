@@ -1,7 +1,7 @@
 """The card of a data set: trials, objects, sensors and seeds, limitations, and how to read and cite it."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,15 +17,8 @@ from evetac_cli.jobs import Progress
 from evetac_cli.store.hdf5.disk import utf8_path
 from evetac_cli.store.index import IndexRow, read_index
 
-# The Hub's categories for the number of examples, here the rows of the largest table.
-SIZES = (
-    *((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M")),
-    *((10_000_000, "1M<n<10M"), (100_000_000, "10M<n<100M"), (1_000_000_000, "100M<n<1B")),
-)
-LARGER = "1B<n<10B"
 MOST_LISTED = 20  # objects or sensors
 TABLES = "tables"
-HELD = "one row per slice of 1 ms: gripper, forces, labels, touch, dots"
 
 READ = """Each trial is a set of HDF5 files with the same name. `evetac info DATA` lists them, `evetac view` shows one.
 Without evetac:
@@ -40,9 +33,9 @@ with h5py.File("data/NAME.recording.h5") as file:
 Every dataset has `units` and `long_name`, and the root attribute `header` describes how the file was made. To open
 a file with xarray, use `engine="h5netcdf"`. A short reader of each kind of file is in docs/read-without-evetac.md of
 evetac."""
-READ_TABLES = """The tables are Parquet, one file per trial. Columns end in their units, unknown values are null, and
-the metadata of each column describe it. `pandas.read_parquet("tables/SPLIT")` reads those of a split; from the Hub,
-`datasets.load_dataset("NAME")` reads all of them."""
+READ_TABLES = """The tables are Parquet, with a file per trial and a row per slice of 1 ms. Columns end in their units,
+unknown values are null, and the metadata of each column describe it. `pandas.read_parquet("tables/SPLIT")` reads those
+of a split; from the Hub, `datasets.load_dataset("NAME")` reads all of them."""
 
 
 def describe(folder: Path, params: Share, progress: Progress) -> Card:
@@ -65,45 +58,41 @@ def describe(folder: Path, params: Share, progress: Progress) -> Card:
     note = _lacks_pyarrow() if shared else ""
     tables = () if note else shared
     splits = list(dict.fromkeys(trial.split for trial in tables))
-    slices = sum(row.slices or 0 for row in recordings) if tables else 0
     simulated = any(row.simulated for row in rows)
     title = params.title or folder.resolve().name
     trials = {row.recording or row.path: row for row in rows if row.kind != "recording" and row.recording}
     trials |= {row.recording or row.path: row for row in recordings}
-    figures = _figures(list(trials.values()))
-    about = {
-        "what": "data set",
-        "title": title,
-        "simulated": simulated,
-        "license": params.license,
-        "author": params.author,
-        "figures": figures,
-        "files": [
-            {"kind": kind, "files": count, "size_bytes": sum(row.size_bytes for row in rows if row.kind == kind)}
-            for kind, count in sorted(Counter(str(row.kind) for row in rows).items())
-        ],
-        "tables": [{"table": TABLES, "holds": HELD, "rows": slices, "splits": ", ".join(splits)}] if tables else [],
-        "formats": {kind: sorted(numbers) for kind, numbers in contents.formats.items()},
-        "recipe_ids": sorted({row.recipe_id for row in recordings if row.recipe_id}),
-    }
-    examples = max(slices, len(trials))
     files = [{"split": split, "path": f"{TABLES}/{split}/*.parquet"} for split in splits]
     fields = {
         **card_fields(simulated, params.license),
         "pretty_name": title,
         "task_categories": ["robotics"],
-        "size_categories": [next((name for most, name in SIZES if examples < most), LARGER)],
         # Otherwise the Hub would guess from the HDF5 files, and show an error on its page.
         **({"configs": [{"config_name": "slices", "data_files": files}]} if tables else {"viewer": False}),
     }
-    page = _page(title, about, figures, splits, rows, params)
+    kinds = [
+        {"kind": kind, "files": count, "size_bytes": sum(row.size_bytes for row in rows if row.kind == kind)}
+        for kind, count in sorted(Counter(str(row.kind) for row in rows).items())
+    ]
+    figures = [{"": name, "value": value} for name, value in _figures(list(trials.values())).items() if value]
     split = list(zip((trial.split for trial in shared), recordings, strict=True))
-    page += limitations(contents, list(trials.values()), split) if trials else []
-    page += citation(params, title, "data set", contents.year) + made_with(
-        title, "data set", contents.versions, contents.formats
-    )
+    page = [
+        *opening(title, simulated=simulated, license_=params.license),
+        "Tactile data of an event camera behind a dotted gel (Evetac), made with evetac.",
+        "## Contents",
+        table(figures, format_value),
+        table(kinds, format_value),
+        "## How to read it",
+        READ.replace("NAME", inline(rows[0].path.removesuffix(f".{rows[0].kind}.h5"))),
+        *([READ_TABLES.replace("SPLIT", splits[0])] if splits else []),
+        *(limitations(contents, list(trials.values()), split) if trials else []),
+        *citation(params.author, "data set"),
+        *made_with(contents.versions, contents.formats),
+    ]
     notes = "; ".join(filter(None, (passed_over, note)))
-    return Card(fields, page, about, links, {}, notes, partial(_write, tables) if tables else None)
+    return Card(
+        "data set", title, simulated, fields, page, links, {}, notes, partial(_write, tables) if tables else None
+    )
 
 
 def _lacks_pyarrow() -> str:
@@ -135,28 +124,6 @@ def _figures(trials: Sequence[IndexRow]) -> dict[str, Any]:
         "duration_s": sum(row.slices or 0 for row in trials) / SLICES_PER_S,
         **{f"{name}s": _listed(trials, name) for name in ("scene", "object", "sensor", "seed", "outcome")},
     }
-
-
-def _page(
-    title: str,
-    about: Mapping[str, Any],
-    figures: Mapping[str, Any],
-    splits: Sequence[str],
-    rows: Sequence[IndexRow],
-    params: Share,
-) -> list[str]:
-    page = [
-        *opening(title, simulated=about["simulated"], license_=params.license),
-        "Tactile data of an event camera behind a dotted gel (Evetac), made with evetac.",
-        "## Contents",
-        table([{"": name, "value": value} for name, value in figures.items() if value not in ("", 0)], format_value),
-        table(about["files"], format_value),
-        table(about["tables"], format_value),
-        "## How to read it",
-        READ.replace("NAME", inline(rows[0].path.removesuffix(f".{rows[0].kind}.h5"))),
-        READ_TABLES.replace("SPLIT", splits[0]) if splits else "",
-    ]
-    return [part for part in page if part]
 
 
 def _listed(trials: Sequence[IndexRow], name: str) -> str:

@@ -19,6 +19,7 @@ from evetac_cli.text_files import parse_json
 
 KINDS = ("model", "force-model")
 WHAT = {"model": "slip detector", "force-model": "force model"}
+SHOWN = ("trajectories", "slip_correct", "slip_early", "slip_late", "f1")  # figures of a report
 # Figures of `info` that a card states elsewhere, or not at all.
 NOT_SHOWN = ("file", "kind", "id", "simulated", "size_bytes", "parameters", "made", "parents", "history", "seed")
 
@@ -51,20 +52,6 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
     data = list(_data(header))
     judged = [one for report in reports for one in _judged(report, header)]
     title = params.title or f"{path.name.removesuffix('.h5').removesuffix('.' + row['kind'])}: {what}"
-    about = {
-        "what": what,
-        "title": title,
-        "simulated": simulated,
-        "license": params.license,
-        "author": params.author,
-        "recipe_id": header["id"],
-        "seed": header["seed"],
-        "training": header["parameters"],
-        "figures": figures,
-        "data": data,
-        "evaluations": judged,
-        "made": creation,
-    }
     fields = card_fields(simulated, params.license) | {"library_name": "evetac", "pipeline_tag": "robotics"}
     page = [
         *opening(title, simulated=simulated, license_=params.license),
@@ -78,22 +65,19 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
         "## Training parameters",
         table([{"parameter": name, "value": value} for name, value in _flat(header["parameters"])], format_value),
         "## Evaluation",
-        *([table([_shown(one) for one in judged], format_value)] if judged else [NOT_EVALUATED]),
+        table(judged, format_value) or NOT_EVALUATED,
         *([ON_VALIDATION] if score is not None else []),
         "## Limitations",
         LIMITS if any(row.get("simulated") == "no" for row in data) else LIMITS_SIMULATED,
         "## Files",
         FILES.format(name=inline(path.name)) + (OTHER_FILES if row["kind"] == "model" else ""),
-        *citation(params, title, what, year if (year := str(creation.get("at", ""))[:4]).isdigit() else None),
+        *citation(params.author, what),
         *made_with(
-            title,
-            what,
-            [str(creation["evetac"])[:20]] if "evetac" in creation else [],
-            {row["kind"]: [str(header["version"])]},
+            [str(creation["evetac"])[:20]] if "evetac" in creation else [], {row["kind"]: [str(header["version"])]}
         ),
     ]
     written[path.name] = path.read_bytes()  # not a link: a copy of a model is small, and may be changed
-    return Card(fields, [part for part in page if part], about, {}, written, note)
+    return Card(what, title, simulated, fields, [part for part in page if part], {}, written, note)
 
 
 NOT_EVALUATED = "This card has no evaluation. `evetac share MODEL REPORT` adds reports of `evetac evaluate`."
@@ -110,8 +94,7 @@ FILES = (
 )
 OTHER_FILES = """
 - `model.onnx`: the same network for ONNX runtime
-- `training.csv`: loss and validation scores over the training steps
-- `card.json`: this page as JSON"""
+- `training.csv`: loss and validation scores over the training steps"""
 
 
 def _data(header: Header) -> Iterator[dict[str, Any]]:
@@ -160,20 +143,11 @@ def _judged(report: Path, header: Header) -> Iterator[dict[str, Any]]:
             others = ", ".join(id_[:12] for id_ in models) or "no model"
             expected = f"a report of `evetac evaluate slip` on the model {header['id'][:12]} only"
             raise InputError("the report is not on this model", where=str(report), expected=expected, found=others)
-        command, simulated = str(file.read("command")), bool(file.header["simulated"])
+        simulated = "yes" if file.header["simulated"] else "no"
         for row in parse_json(file.read("rows")):
             if "seeds" in row and "trajectories" in row:
-                figures = {
-                    name: value for name, value in row.items() if not name.startswith("paper_") and value is not None
-                }
-                yield {"command": command, "report": report.name, "simulated": simulated, "figures": figures}
-
-
-def _shown(judged: dict[str, Any]) -> dict[str, Any]:
-    figures = judged["figures"]
-    names = ("trajectories", "slip_correct", "slip_early", "slip_late", "f1")
-    main_figures = {name: figures.get(name) for name in names}
-    return {"evaluation": judged["command"], **main_figures, "simulated": "yes" if judged["simulated"] else "no"}
+                figures = {name: row.get(name) for name in SHOWN}
+                yield {"evaluation": str(file.read("command")), **figures, "simulated": simulated}
 
 
 def _flat(parameters: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:

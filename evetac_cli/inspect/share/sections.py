@@ -5,8 +5,6 @@ invented: the authors of the paper are those of CITATION.cff, and those of a dat
 who shares it, or not named.
 """
 
-import re
-import shlex
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from evetac_cli import __version__
-from evetac_cli.commands.share import Share
+from evetac_cli.formats.write.hub_card import inline
 from evetac_cli.jobs import Progress
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.index import IndexRow
@@ -47,14 +45,14 @@ ESTIMATED = {
 HOW = {"tracks": "preset", "labels": "method"}  # the parameter that names the estimator
 COVERED = ("sensor", "object", "scene")
 # Copied from CITATION.cff, which is not part of an installation.
-PAPER = """@article{funk2024evetac,
+PAPER = """```bibtex
+@article{funk2024evetac,
   title = {{Evetac: An Event-based Optical Tactile Sensor for Robotic Manipulation}},
   author = {Funk, Niklas and Helmut, Erik and Chalvatzaki, Georgia and Calandra, Roberto and Peters, Jan},
   journal = {IEEE Transactions on Robotics},
   year = {2024}
-}"""
-MOST_LETTERS = 300  # of a name or title
-SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+}
+```"""
 
 
 class SharedTrial(NamedTuple):
@@ -126,7 +124,6 @@ class DataSetFacts:
 
     formats: dict[str, set[str]] = field(default_factory=dict)  # kind -> numbers of its format
     versions: set[str] = field(default_factory=set)  # of evetac
-    year: str | None = None  # of the newest file
     how: dict[str, Counter[str]] = field(default_factory=dict)  # kind -> estimator -> number of files
     abstained: int = 0  # labels that could not identify an onset
     with_losses: int = 0  # recordings with lost slices
@@ -137,9 +134,6 @@ class DataSetFacts:
         self.formats.setdefault(file.kind, set()).add(str(header["version"]))
         if isinstance(creation.get("evetac"), str):
             self.versions.add(creation["evetac"][:20])
-        year = str(creation.get("at", ""))[:4]
-        if year.isdigit():
-            self.year = max(self.year or year, year)
         if file.kind in ESTIMATED:
             how = str(header["parameters"].get(HOW.get(file.kind, ""), "unknown"))[:40]
             self.how.setdefault(file.kind, Counter())[how] += 1
@@ -207,50 +201,15 @@ def _covered(covered: Mapping[str, set[Any]], trials: int) -> str:
     return f"{trials} trial{'' if trials == 1 else 's'}: {', '.join(parts)}.{alone}"
 
 
-def citation(params: Share, title: str, what: str, year: str | None) -> list[str]:
-    """Return the section Citation of a card: the paper on sensor and methods, and the data set or model itself.
-
-    The latter only if authors are given. year: of the newest file, if it is known.
-    """
-    page = ["## Citation", "The paper on the sensor and the methods:", _block(PAPER)]
-    if params.author is None:
-        return [*page, f"The authors of this {what} are not named; `evetac share --author` adds an entry."]
-    lines = [
-        f"@misc{{{slug(title)}{year or ''},",
-        f"  title = {{{{{_bibtex(title)}}}}},",
-        f"  author = {{{_bibtex(params.author)}}},",
-        *([f"  year = {{{year}}},"] if year else []),
-        f"  note = {{{what.capitalize()}, made with evetac {__version__}}}",
-        "}",
-    ]
-    return [*page, f"This {what}:", _block("\n".join(lines))]
+def citation(author: str | None, what: str) -> list[str]:
+    """Return the section Citation of a card: the paper on sensor and methods, and the authors of data set or model."""
+    authors = f"Authors of this {what}: {inline(author)}." if author else f"The authors of this {what} are not named."
+    return ["## Citation", "The paper on the sensor and the methods:", PAPER, authors]
 
 
-def made_with(title: str, what: str, versions: Collection[str], formats: Mapping[str, Collection[str]]) -> list[str]:
-    """Return the section Version of a card: evetac versions of card and files, format numbers, how to upload."""
+def made_with(versions: Collection[str], formats: Mapping[str, Collection[str]]) -> list[str]:
+    """Return the section Version of a card: evetac versions of card and files, and format numbers."""
     file_versions = f", files by evetac {', '.join(sorted(versions))}" if versions else ""
     kinds = ", ".join(f"{kind} {' and '.join(sorted(of))}" for kind, of in sorted(formats.items()))
     listed = f" Format numbers of the files (`schemas/` in evetac): {kinds}." if kinds else ""
-    how = f"To upload this folder, run `{upload(Path('.'), title, what)}` in it; replace NAME by your account."
-    return ["## Version", f"Card written by evetac {__version__}{file_versions}.{listed}", how]
-
-
-def upload(target: Path, title: str, what: str) -> str:
-    """Return the command of the Hub's own tool that uploads a folder; NAME is the account."""
-    kind = " --repo-type dataset" if what == "data set" else ""
-    return f"hf upload NAME/{slug(title)} {shlex.quote(str(target))}{kind}"
-
-
-def slug(title: str) -> str:
-    """Return a title as a name of lower-case letters, digits and dashes."""
-    return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")[:60] or "evetac"
-
-
-def _bibtex(text: str) -> str:
-    """Return a text from the command line escaped for BibTeX, on one line."""
-    line = "".join(letter if letter.isprintable() else " " for letter in " ".join(text.split())[:MOST_LETTERS])
-    return "".join(SPECIAL.get(letter, f"\\{letter}" if letter in "{}$&#%_" else letter) for letter in line)
-
-
-def _block(text: str) -> str:
-    return f"```bibtex\n{text}\n```"
+    return ["## Version", f"Card written by evetac {__version__}{file_versions}.{listed}"]
