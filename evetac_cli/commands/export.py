@@ -108,9 +108,6 @@ class Export:
         recipe=False,
         panel=LEROBOT,
     )
-    truth: bool = parameter(
-        False, "Add the ground truth of a simulation, as simulated_truth.", recipe=False, panel=LEROBOT
-    )
 
 
 COMMAND = Command(

@@ -58,10 +58,7 @@ SUFFIX = re.compile(r"(\.[A-Za-z0-9_-]+)+")
 TABLE: dict[str, Any] = {"events": False, "of_trial": True, "takes": ("model",)}
 OF_IMAGES = ("fps", "size")  # parameters of every event image format
 
-OF_LEROBOT = (
-    *("fps", "per_frame", "test_objects", "task", "tactile_key"),
-    *("event_frames", "size", "truth"),
-)
+OF_LEROBOT = ("fps", "per_frame", "test_objects", "task", "tactile_key", "event_frames", "size")
 
 
 def _images(kind: Kind, *takes: str) -> ExportFormat:

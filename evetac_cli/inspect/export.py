@@ -68,7 +68,7 @@ def _model(params: Export) -> Path | None:
 def _options(params: Export) -> dict[str, Any]:
     """Return the chosen options for the format's writer; raise InputError for options that the format does not use."""
     values = {item.name: getattr(params, item.name) for item in fields(Export) if item.name != "format"}
-    options = {name: value for name, value in values.items() if value is not None and value is not False}
+    options = {name: value for name, value in values.items() if value is not None}
     takes = named_format(params.format).takes
     for name in options:
         if name not in takes:

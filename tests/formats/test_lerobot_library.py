@@ -126,7 +126,7 @@ def settings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 def test_lerobot_reads_what_we_wrote(tmp_path: Path, lerobot: Path, settings: dict[str, str]) -> None:
     """Assert that its class gives every frame with the values, times, pictures and tasks of ours, and parts of it."""
     grasps = [write_grasp(tmp_path / "in", name, number, seed) for name, number, seed in (("a", 8, 1), ("b", 3, 2))]
-    options = {"fps": 250, "test_objects": [3], "event_frames": "16@200", "truth": True}
+    options = {"fps": 250, "test_objects": [3], "event_frames": "16@200"}
     export_folder(grasps, "lerobot", tmp_path / "out", options, opened=trial_files)
     call = [str(lerobot / "bin" / "python"), "-c", READ, str(tmp_path / "out")]
     done = subprocess.run(call, capture_output=True, text=True, env=settings, check=False)
@@ -139,7 +139,6 @@ def test_lerobot_reads_what_we_wrote(tmp_path: Path, lerobot: Path, settings: di
         np.testing.assert_array_equal(np.array(seen[name], np.float32), np.stack(ours[column]))
     np.testing.assert_allclose(seen["others"], ours["observation.streams.arm"], rtol=1e-6)
     assert all(seen["seen_by_policies"][f"observation.images.tactile_{place:02d}"] == "VISUAL" for place in range(16))
-    assert "simulated_truth" not in seen["seen_by_policies"]
     assert seen["shape"] == 16 * [[3, 120, 160]]
     sums = [[_sum(row[f"observation.images.tactile_{place:02d}"]) for place in range(16)] for _, row in ours.iterrows()]
     np.testing.assert_allclose(seen["stack"], sums, rtol=1e-5)

@@ -1,4 +1,4 @@
-"""What a data set for policies may hold beyond a vector and a video: event frames, points, other streams, truth.
+"""What a data set for policies may hold beyond a vector and a video: event frames, points, other streams.
 
 And what `lerobot-doctor`, a checker by others, says of it.
 """
@@ -8,7 +8,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pandas as pd
 import pytest
@@ -57,7 +56,7 @@ def sources(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def whole(sources: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """They as one data set, with all that there is."""
     folder = tmp_path_factory.mktemp("whole") / "out"
-    options = {"event_frames": f"{DEPTH}@500", "per_frame": "last", "truth": True}
+    options = {"event_frames": f"{DEPTH}@500", "per_frame": "last"}
     info, _ = export(folder, sources, **options)
     assert info["row"]["left_out"] is None
     return folder
@@ -141,19 +140,6 @@ def test_streams_that_are_not_alike_are_left_out(tmp_path: Path) -> None:
         "streams/arm: its columns differ between trials; streams/wrist: its images differ between trials"
     )
     assert not [name for name in info["features"] if "arm" in name or "wrist" in name]
-
-
-def test_truth_is_no_observation_and_only_there_on_request(whole: Path, sources: list[Path], tmp_path: Path) -> None:
-    """Assert its own feature, which says that it is simulated, values of the last slice, and none unless asked for."""
-    info, frames = read(whole)
-    names = info["features"]["simulated_truth"]["names"]
-    assert all(name.startswith("truth_") for name in names)
-    with h5py.File(sources[0]) as h5:
-        force = h5["truth/normal_force_n"][()]
-    seen = np.stack(frames["simulated_truth"])[:FRAMES, names.index("truth_normal_force_n")]
-    np.testing.assert_allclose(seen, force[ENDS_MS - 1], rtol=1e-6)
-    info, _ = export(tmp_path / "out", sources[:1])
-    assert not [name for name in info["features"] if "truth" in name or "tactile_0" in name]
 
 
 def test_what_cannot_be_chosen_is_refused(sources: list[Path], tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ from evetac_cli.events import SLICES_PER_S
 from evetac_cli.formats.write.lerobot import event_stacks, other_streams
 from evetac_cli.formats.write.lerobot.episodes import (
     LARGEST_PX,
-    TRUTH,
     Episode,
     EpisodeOutline,
     Vectors,
@@ -39,7 +38,6 @@ class Choices:
     tactile_key: str
     event_frames: str | None
     size: tuple[int, int] | None
-    truth: bool
 
     @property
     def rule(self) -> str:
@@ -84,7 +82,7 @@ def choose(outlines: Sequence[EpisodeOutline], choices: Choices) -> tuple[FrameC
     require_alike(outlines)
     frame_px = outlines[0].frame_px
     stacks = event_stacks.parse(choices.event_frames, choices.size, frame_px)
-    vectors, left_out = choose_vectors(outlines, truth=choices.truth)
+    vectors, left_out = choose_vectors(outlines)
     streams, more = other_streams.shared([one.streams for one in outlines], LARGEST_PX)
     left_out += more
     videos = {other_streams.image_key(name): name for name in streams.images}
@@ -113,8 +111,6 @@ def _features(
         features[key] = video(rows + rows % 2, columns + columns % 2, choices.fps, words)
     for key, columns_of in vectors.others.items():
         words = f"the last sample of the stream `{key.removeprefix(NUMBERS.format(''))}` before the end of the frame"
-        if key == TRUTH:
-            words = "ground truth of the simulation, which no sensor measures: do not use it as an observation"
         features[key] = vector(columns_of, words)
     features[ACTION] = vector(vectors.action, f"{', '.join(vectors.action)}: the goal one frame later")
     return {**features, **indices()}

@@ -11,7 +11,7 @@ from typing import Any
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.formats.write.hub_card import NO_LICENSE, card_fields, card_text, inline, table
 from evetac_cli.formats.write.lerobot.contents import FrameContents
-from evetac_cli.formats.write.lerobot.episodes import TRUTH, EpisodeOutline
+from evetac_cli.formats.write.lerobot.episodes import EpisodeOutline
 from evetac_cli.formats.write.lerobot.meta_files import Feature
 from evetac_cli.store.layout.provenance import time_host_versions
 
@@ -78,10 +78,6 @@ def _limitations(contents: FrameContents, simulated: bool) -> list[str]:
     if contents.stacks is not None:
         lines.append(
             f"More than {contents.stacks.full_scale} events of one sign per pixel and frame are clipped to this number."
-        )
-    if TRUTH in contents.features:
-        lines.append(
-            f"`{TRUTH}` is ground truth that no sensor measures: a policy with it as input works only in simulation."
         )
     return [f"- {one}" for one in lines]
 

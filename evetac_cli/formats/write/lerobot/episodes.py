@@ -5,7 +5,7 @@ State and action are the last values. The tactile vector is the mean of the slic
 1000 // fps slices concatenated, oldest first. The action of a frame is the goal one frame later, which was commanded in
 response to the frame. The last whole frame of a trial therefore has no action and is left out.
 
-Other streams of the trial, and truth if requested, are last values too. An unknown value keeps its last known value,
+Other streams of the trial are last values too. An unknown value keeps its last known value,
 and is 0 before the first, because policies cannot handle gaps.
 """
 
@@ -38,7 +38,6 @@ TACTILE = re.compile(
     rf"{DISPLACEMENT.pattern}|events_per_dot_\d+|touch_(touches|shear_[xy]_n|normal_n|torsion_n_mm|centre_[xy]_mm)"
     "|touch_(area_mm2|sticking_share)|(control|model)_probability"
 )
-TRUTH = "simulated_truth"  # not `observation...`: lerobot's policies use every feature whose name begins so as input
 MOST_BYTES = 2_000_000_000  # memory for a trial's slices
 MOST_EVENTS = 4_000_000  # drawn in one picture: the last events of the frame
 LARGEST_PX = 4096  # side of a picture that every H.264 codec supports
@@ -56,10 +55,6 @@ class EpisodeOutline(NamedTuple):
     slices: int
     frame_px: tuple[int, int]
     streams: StreamShapes
-
-    def truth(self) -> list[str]:
-        """Return the columns of ground truth, which only simulated trials have."""
-        return [name for name in self.names if name.startswith("truth_")]
 
 
 class Vectors(NamedTuple):
@@ -111,10 +106,10 @@ def require_alike(outlines: Sequence[EpisodeOutline]) -> None:
             raise InputError("the frame is too large for a video", where=where, expected=expected, found=found)
 
 
-def choose_vectors(outlines: Sequence[EpisodeOutline], *, truth: bool) -> tuple[Vectors, list[str]]:
+def choose_vectors(outlines: Sequence[EpisodeOutline]) -> tuple[Vectors, list[str]]:
     """Return the columns that all trials have, and a text on those that only some have, which are left out.
 
-    Raises InputError if the trials have different dots or actions, or if truth is requested but the trials have none.
+    Raises InputError if the trials have different dots or actions.
     """
     common = set.intersection(*(set(one.names) for one in outlines))
     tactile_of = [[name for name in one.names if TACTILE.fullmatch(name)] for one in outlines]
@@ -128,15 +123,6 @@ def choose_vectors(outlines: Sequence[EpisodeOutline], *, truth: bool) -> tuple[
     tactile = tuple(name for name in tactile_of[0] if name in common)
     columns = other_streams.shared([one.streams for one in outlines], LARGEST_PX)[0].columns
     others = {NUMBERS.format(name): of for name, of in columns.items()}
-    if truth:
-        truth_names = tuple(name for name in outlines[0].truth() if name in common)
-        some |= set().union(*(one.truth() for one in outlines)) - common
-        if not truth_names:
-            where = next(str(one.path) for one in outlines if not set(one.truth()) & common)
-            raise InputError(
-                "the trial has no ground truth; only simulated trials have", where=where, hint="leave out --truth"
-            )
-        others[TRUTH] = truth_names
     left_out = [f"not in all trials: {', '.join(sorted(some))}"] if some else []
     return Vectors(STATE, tactile, actions.pop(), others), left_out
 

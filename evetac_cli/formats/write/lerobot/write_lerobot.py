@@ -63,7 +63,6 @@ def write(
     tactile_key: str = "observation.tactile",
     event_frames: str | None = None,
     size: tuple[int, int] | None = None,
-    truth: bool = False,
 ) -> WrittenFolder:
     """Write all trials as one data set.
 
@@ -74,7 +73,7 @@ def write(
     for source in sources:
         with opened(source) as files:
             outlines.append(outline(files, task))
-    contents, notes = choose(outlines, Choices(fps, per_frame, tactile_key, event_frames, size, truth))
+    contents, notes = choose(outlines, Choices(fps, per_frame, tactile_key, event_frames, size))
     outlines.sort(key=lambda one: one.facts["object"] in test_objects)  # a stable sort; test episodes come last
     train = sum(one.facts["object"] not in test_objects for one in outlines)
     if test_objects and train == len(outlines):
