@@ -22,7 +22,7 @@ RANGE = re.compile("([0-9]{1,18})-([0-9]{1,18})")
 
 
 def answer(folder: Path, conditions: Sequence[str], progress: Progress = silent) -> Outcome:
-    """Return counts of a data set's files and covariates of its slips; with conditions (`object=3`) its files."""
+    """Return counts of a data set's files; with conditions (`object=3`) its files."""
     fits = [_condition(condition) for condition in conditions]
     index = read_index(folder, progress)
     selected = [row for row in index.rows if all(fit(row) for fit in fits)]
@@ -34,8 +34,7 @@ def answer(folder: Path, conditions: Sequence[str], progress: Progress = silent)
         rows = [{name: getattr(row, name) for name in NAMES} for row in selected]
         summary["fit"] = len(rows)
     else:
-        covariates, covariate_summary = _covariates(index.rows, folder, progress)
-        rows, summary = _counts(index.rows) + covariates, summary | covariate_summary
+        rows = _counts(index.rows)
     return Outcome(rows, any(row.simulated for row in selected), summary)
 
 
@@ -44,26 +43,6 @@ def for_people(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     broken = any(row.get("error") for row in rows)
     names = ("path", "error") if broken else SHOWN
     return [{name: row[name] for name in names} if "path" in row else row for row in rows]
-
-
-def _covariates(
-    rows: Sequence[IndexRow], folder: Path, progress: Progress
-) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Return rows of covariates of the recordings that slip, and their number; empty if none slips.
-
-    A recording slips according to its truth, or to labels made from it.
-    """
-    labelled = {row.recording for row in rows if row.kind == "labels" and row.outcome == "slips"}
-    names = [
-        row.path
-        for row in rows
-        if row.kind == "recording" and (row.outcome == "slips" or (row.outcome is None and row.recipe_id in labelled))
-    ]
-    if not names:
-        return [], {}
-    from evetac_cli.inspect import info_slip  # imported here because an index does not need to read recordings
-
-    return info_slip.of_folder(folder, names, progress)
 
 
 def _counts(rows: Sequence[IndexRow]) -> list[dict[str, Any]]:

@@ -10,17 +10,19 @@ import numpy as np
 
 from evetac_cli.arrays import Floats
 from evetac_cli.console import format_value, print_table, print_text
-from evetac_cli.errors import InputError
+from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.events import SLICES_PER_S
-from evetac_cli.inspect import info_slip
 from evetac_cli.jobs import Outcome
 from evetac_cli.kernels.calibration.grid import in_words
+from evetac_cli.kernels.slip.covariates import SlipCovariates, not_told
 from evetac_cli.pages.shared import KNOWN, inner, stiffness
 from evetac_cli.stages.model_files import TRUE_SLIP_SHARE, labelled_by, learned_true_slip_share, read_curve
-from evetac_cli.store.files import StageFile
+from evetac_cli.stages.related_files import check_made_from
+from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.recordings import slip_grid, streams
 from evetac_cli.store.recordings.onset import abstains, labelled_onset
 from evetac_cli.store.recordings.read import Recording
+from evetac_cli.store.recordings.slip_covariates import covariates_of_labels, covariates_of_truth
 from evetac_cli.text_files import parse_json
 
 RGB_BYTES_S = 540 * 480 * 3 * 25  # the paper's RGB sensor
@@ -142,13 +144,39 @@ def _recording(file: StageFile) -> dict[str, Any]:
             "dots": "none" if grid is None else in_words(*grid.shape[:2]),
             "window_px": "none" if recording.window_px is None else "{} {} {} {}".format(*recording.window_px),
             "groups": " ".join(filter(recording.has, OPTIONAL_GROUPS)) or "none",
-            **info_slip.figures(recording),
+            **_slip(recording),
             **_slip_grid(recording),
             **({"marks": streams.marks_in_words(recording.marks)} if recording.has("marks") else {}),
             **_streams(recording),
             **(_capture(file) if recording.has("capture") else {}),
             **_import(file.header["parameters"]),
         }
+
+
+def _slip_of(recording: Recording) -> tuple[str, SlipCovariates | None]:
+    """Return the source of a recording's slip, `truth` or `labels`, and its covariates; None if it is unknown."""
+    if recording.has("truth"):
+        return "truth", covariates_of_truth(recording)
+    path = output_path(recording.path, "labels", None)
+    if path.exists():
+        with suppress(EvetacError), StageFile(path, "labels") as labels:  # `validate` reports faults of the labels
+            check_made_from(labels, recording)
+            return "labels", covariates_of_labels(recording, labels)
+    return "", None
+
+
+def _slip(recording: Recording) -> dict[str, Any]:
+    """Return the covariates of a recording's slip, their source, and the unknown ones; {} without slip."""
+    source, slip = _slip_of(recording)
+    if slip is None:
+        return {}
+    missing = not_told([slip])
+    return {
+        "slip_onset_ms": slip.onset_ms,
+        "slip_told_by": source,
+        **slip.figures(),
+        **({"slip_not_told": ", ".join(missing)} if missing else {}),
+    }
 
 
 def _slip_grid(recording: Recording) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""info: covariates of the slip of a recording, by truth or by labels, and of the slips of a folder."""
+"""info: covariates of the slip of a recording, by truth or by labels."""
 
 import shutil
 from pathlib import Path
@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from evetac_cli.inspect import index, info, info_slip
+from evetac_cli.inspect import info
 from evetac_cli.kernels.slip.covariates import WORDS
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.layout.provenance import Recipe
@@ -84,29 +84,3 @@ def test_without_slip_no_event_is_read(made: Made, tmp_path: Path, monkeypatch: 
         h5["truth/slip"][...] = 0
     monkeypatch.setattr("evetac_cli.store.recordings.slip_covariates.gel_counts", lambda *_: pytest.fail("events read"))
     assert {name for name in row_of(path) if name.startswith("slip_")} == {slip_grid.COLUMN}
-
-
-def test_of_a_folder(made: Made, tmp_path: Path) -> None:
-    """Assert that a folder has a row for each covariate over its slips, and that it says of how many."""
-    for path in made.recordings:
-        shutil.copy(path, tmp_path)
-    real_slip(tmp_path / "real.recording.h5")
-    result = index.answer(tmp_path, ())
-    rows = {row["covariate"]: row for row in result.rows if "covariate" in row}
-    slips = len(made.recordings)
-    assert rows[WORDS["events_per_ms_about_slip"]]["n"] == slips + 1
-    alone = [row_of(path)["creep_to_gross_ms"] for path in made.recordings]
-    assert rows[WORDS["creep_to_gross_ms"]]["median"] == np.median(alone)
-    assert rows[WORDS["creep_to_gross_ms"]]["n"] == slips
-    assert result.summary["covariates_of"] == f"{slips + 1} of {slips + 1} recordings that slip"
-    assert not any("covariate" in row for row in index.answer(tmp_path, ("kind=recording",)).rows)
-
-
-def test_of_a_large_folder(made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that of many slips as many as may be looked at are, evenly, and that one that is broken is left out."""
-    monkeypatch.setattr(info_slip, "MOST_SLIPS", 2)
-    names = [path.name for path in made.recordings]
-    rows, said = info_slip.of_folder(made.folder, [*names, "missing.recording.h5"], lambda done, total: None)
-    assert said["covariates_of"] == "2 of 4 recordings that slip"
-    assert {row["n"] for row in rows} <= {1, 2}
-    assert info_slip.of_folder(made.folder, ["missing.recording.h5"], lambda done, total: None) == ([], {})

@@ -8,9 +8,9 @@ AEDAT4 is one stream, compressed with LZ4, which dv-processing reads. faery, of 
 encoder reports no error when the disk is full, so the file is checked after writing.
 
 RAW has text lines that begin with "% ", then words of EVT3. The upper four of their 16 bits are the type: 8 high bits
-of time, 6 low bits of time, 0 row, 2 column and polarity. Only values that change are written again. Times count from the
-start of the recording. The text lines have the start on the source's clock and the note, which faery would not write.
-Source: Prophesee's documentation of EVT 3.0.
+of time, 6 low bits of time, 0 row, 2 column and polarity. Only values that change are written again. Times count from
+the start of the recording. The text lines have the start on the source's clock and the note, which faery would not
+write. Source: Prophesee's documentation of EVT 3.0.
 """
 
 from collections.abc import Iterator
