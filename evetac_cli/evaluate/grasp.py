@@ -23,7 +23,7 @@ from evetac_cli.commands.evaluate import EvaluateGrasp
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate import grip_forces, paper, picture, report, report_job
-from evetac_cli.evaluate.rows import each, mean, quantile, sd
+from evetac_cli.evaluate.rows import each, ends, mean, quantile, resampled, sd
 from evetac_cli.evaluate.source import Source
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
@@ -174,13 +174,8 @@ def _ends(trials: Rows, by_object: Rows) -> dict[str, float | None]:
             if len(set(objects)) > 1 and 0 < sum(hits) < len(trials)
             else estimates.share(sum(hits), len(trials))
         )
-    reopened = np.array([row["reopened_share"] for row in by_object if row["reopened_share"] is not None])
-    found["reopened_share"] = (
-        estimates.ratio_of_clusters(reopened, np.ones(len(reopened)), estimates.cluster_weights(range(len(reopened))))
-        if len(reopened) > 1
-        else None
-    )
-    return {f"{name}_{end}": one and getattr(one, end) for name, one in found.items() for end in ("low", "high")}
+    found["reopened_share"] = resampled(row["reopened_share"] for row in by_object)
+    return {column: value for name, one in found.items() for column, value in ends(name, one).items()}
 
 
 def _alike(trials: Rows) -> dict[str, Any]:

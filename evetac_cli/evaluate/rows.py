@@ -22,6 +22,8 @@ from evetac_cli.commands.parameter import flag_of
 from evetac_cli.commands.trials import SOLVER_OPTIONS, Trials
 from evetac_cli.evaluate import picture
 from evetac_cli.jobs import Progress, Row, Rows
+from evetac_cli.kernels import estimates
+from evetac_cli.kernels.estimates import Estimate
 
 Amount = TypeVar("Amount")
 
@@ -81,6 +83,20 @@ def quantile(values: Iterable[float | None], share: float = 0.5) -> float | None
 
 def _known(values: Iterable[float | None]) -> list[float]:
     return [float(value) for value in values if value is not None and np.isfinite(value)]
+
+
+def resampled(values: Iterable[float | None]) -> Estimate | None:
+    """Return the mean of the known, finite values with its interval from resampling them; None for fewer than two."""
+    known = np.array(_known(values))
+    if len(known) < 2:
+        return None
+    return estimates.ratio_of_clusters(known, np.ones(len(known)), estimates.cluster_weights(range(len(known))))
+
+
+def ends(name: str, estimate: Estimate | None) -> dict[str, float | None]:
+    """Return the columns `<name>_low` and `<name>_high` of an interval; None without one."""
+    low, high = (None, None) if estimate is None else estimate[1:]
+    return {f"{name}_low": low, f"{name}_high": high}
 
 
 def run_times(times_us: NDArray[np.float64], name: str = "time") -> Row:

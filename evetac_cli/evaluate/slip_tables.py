@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from evetac_cli.evaluate import paper, slip_warnings
-from evetac_cli.evaluate.rows import mean, quantile, sd
+from evetac_cli.evaluate.rows import ends, mean, quantile, resampled, sd
 from evetac_cli.evaluate.slip_models import Model
 from evetac_cli.evaluate.slip_warnings import Judged
 from evetac_cli.evaluate.source import TRUTH
@@ -103,7 +103,8 @@ def tables(
             [by_group(of_seed, at, factor) for of_seed, at in zip(own, ats, strict=True)]
             for factor in ("object", "sensor")
         )
-        row = setting_row(setting, first, cells) | slip_warnings.columns(seeds, own) | _f1_ends(cells)
+        f1 = resampled(mean(cell[name]["f1"] for cell in cells) for name in cells[0])
+        row = setting_row(setting, first, cells) | slip_warnings.columns(seeds, own) | ends("f1", f1)
         found["settings"].append(row)
         found["timing"].append({"setting": setting, **_timing_bins(own, ats), **_paper_timing(first, set(cells[0]))})
         found["reliability"] += slip_warnings.reliability_rows(setting, own)
@@ -222,15 +223,6 @@ def _paper(model: Model, objects: set[str]) -> Row:
     return figures
 
 
-def _f1_ends(cells: list[Row]) -> dict[str, float | None]:
-    """Return the ends of F1's interval, from resampling objects; `cells`: for every seed, the score of every object."""
-    of_objects = [mean(cell[name]["f1"] for cell in cells) for name in cells[0]]
-    known = np.array([value for value in of_objects if value is not None])
-    weights = estimates.cluster_weights(range(len(known))) if len(known) > 1 else None
-    f1 = None if weights is None else estimates.ratio_of_clusters(known, np.ones(len(known)), weights)
-    return {"f1_low": None, "f1_high": None} if f1 is None else {"f1_low": f1.low, "f1_high": f1.high}
-
-
 def _timing_bins(predictions: Sequence[Sequence[Prediction]], thresholds: Sequence[float]) -> Row:
     """Return shares of trajectories with an onset by bins of t_m - t_c, and the median of those with a detection."""
     objects: list[str] = []
@@ -248,8 +240,7 @@ def _timing_bins(predictions: Sequence[Sequence[Prediction]], thresholds: Sequen
     row |= {name: mean(one) for name, one in inside.items()}
     weights = estimates.cluster_weights(objects)
     for name, one in inside.items():
-        share = estimates.ratio_of_clusters(one, np.ones(len(one)), weights)
-        row |= {f"{name}_low": share and share.low, f"{name}_high": share and share.high}
+        row |= ends(name, estimates.ratio_of_clusters(one, np.ones(len(one)), weights))
     return row
 
 

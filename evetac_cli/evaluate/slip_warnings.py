@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Flags, Singles
+from evetac_cli.evaluate.rows import ends
 from evetac_cli.jobs import Rows
 from evetac_cli.kernels import estimates
 from evetac_cli.kernels.estimates import Estimate
@@ -112,9 +113,9 @@ def columns(judged: Seeds, predictions: Sequence[Sequence[Prediction]]) -> dict[
             for ahead_ms, name in WARNED.items()
         }
         figures |= {name: None if one is None else one.value for name, one in warned.items()}
-        figures |= _ends("slip_correct", correct(judged)) | _ends("warned_10_ms", warned["warned_10_ms"])
+        figures |= ends("slip_correct", correct(judged)) | ends("warned_10_ms", warned["warned_10_ms"])
     else:
-        figures |= dict.fromkeys(WARNED.values()) | _ends("slip_correct", None) | _ends("warned_10_ms", None)
+        figures |= dict.fromkeys(WARNED.values()) | ends("slip_correct", None) | ends("warned_10_ms", None)
     false = false_alarms(judged)
     minutes = sum(one.quiet_slices for one in judged[0]) / alarms.SLICES_PER_MIN
     leads = [seed[place].lead_ms for seed in judged for place in slips]
@@ -123,7 +124,7 @@ def columns(judged: Seeds, predictions: Sequence[Sequence[Prediction]]) -> dict[
         **figures,
         "lead_ms_median": float(np.median(known_leads)) if known_leads else None,
         "false_alarms_per_min": None if false is None else false.value,
-        **_ends("false_alarms_per_min", false),
+        **ends("false_alarms_per_min", false),
         "minutes_without_slip": minutes,
         "calibration_error": reliability.expected_error(bins(predictions)),
     }
@@ -175,7 +176,7 @@ def group(judged: Seeds, factor: str, name: str) -> dict[str, Any]:
     slips = [one for one in members if one.slips]
     minutes = sum(one.quiet_slices for one in members) / alarms.SLICES_PER_MIN
     return {
-        **_ends("slip_correct", correct(of_seeds)),
+        **ends("slip_correct", correct(of_seeds)),
         "warned_10_ms": float(np.mean([one.warned(10) for one in slips])) if slips else None,
         "false_alarms_per_min": sum(one.false_alarms for one in members) / minutes if minutes else None,
         "minutes_without_slip": minutes / len(judged),
@@ -194,11 +195,6 @@ def _of_seeds(values: Sequence[Sequence[float]]) -> NDArray[np.float64]:
     """Return the mean over seeds, (trials,)."""
     mean: NDArray[np.float64] = np.array(values, np.float64).mean(axis=0)
     return mean
-
-
-def _ends(name: str, estimate: Estimate | None) -> dict[str, float | None]:
-    low, high = (None, None) if estimate is None else estimate[1:]
-    return {f"{name}_low": low, f"{name}_high": high}
 
 
 def begins(flags: Flags, apart_ms: int) -> list[int]:

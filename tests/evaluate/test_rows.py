@@ -1,8 +1,9 @@
 """What the rows of `evaluate cost` have in common: extents, progress, run times, settings and their flags."""
 
 import numpy as np
+import pytest
 
-from evetac_cli.evaluate.rows import SolverSetting, collect, line, run_times
+from evetac_cli.evaluate.rows import SolverSetting, collect, ends, line, resampled, run_times
 
 
 def test_rows_are_collected_with_progress():
@@ -28,3 +29,9 @@ def test_names_and_flags() -> None:
     assert (both.name, both.flags) == ("node pitch, 0.625 mm", "--node-pitch-mm 0.625 --step-ms 0.25")
     assert SolverSetting("tolerance", solver={"tolerance_um": 0.05}).flags == "--tolerance 0.05"
     assert SolverSetting("defaults").flags == ""
+
+
+def test_the_interval_of_a_mean_spans_its_values() -> None:
+    """Assert the ends for two values, of which either may be drawn twice, and none for fewer that are known."""
+    assert ends("f1", resampled([0.6, None, 0.9])) == pytest.approx({"f1_low": 0.6, "f1_high": 0.9})
+    assert ends("f1", resampled([0.5, None])) == {"f1_low": None, "f1_high": None}

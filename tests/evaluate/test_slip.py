@@ -204,14 +204,6 @@ def test_timing_bins_at_their_borders(late_by: int, name: str) -> None:
     assert (shares[f"{name}_low"], shares[f"{name}_high"]) == (0, 1)  # either object may be drawn twice
 
 
-def test_intervals_of_f1_are_over_objects() -> None:
-    """Assert that seeds are averaged first, and that the interval spans the objects."""
-    cells = [{"1": {"f1": 0.5}, "2": {"f1": 0.9}}, {"1": {"f1": 0.7}, "2": {"f1": 0.9}}]
-    ends = slip_tables._f1_ends(cells)
-    assert (ends["f1_low"], ends["f1_high"]) == pytest.approx((0.6, 0.9))
-    assert slip_tables._f1_ends([{"1": {"f1": 0.5}}]) == {"f1_low": None, "f1_high": None}
-
-
 def test_predictions_over_time() -> None:
     """Assert mean probability and detected share at each time about the onset, by object, while the recording lasts."""
     low, high = (prediction(np.arange(140) >= first, 100, "3") for first in (90, 110))
