@@ -6,7 +6,7 @@ import math
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -94,20 +94,6 @@ def progress_bar(what: str, unit: str, *, quiet: bool) -> Iterator[Progress]:
             bar.update(task.id, completed=done)
 
         yield advance
-
-
-@contextmanager
-def live() -> Iterator[Callable[[str], None]]:
-    """Yield a function that shows a text on stderr in place of the previous one; it does nothing without a terminal."""
-    if not sys.stderr.isatty():
-        yield lambda text: None
-        return
-    from rich.console import Console
-    from rich.live import Live
-    from rich.text import Text
-
-    with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as shown:
-        yield lambda text: shown.update(Text(safe(text)), refresh=True)
 
 
 def show(

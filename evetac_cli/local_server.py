@@ -207,12 +207,6 @@ def _name(host: str) -> str:
 def announce(url: str, url_once: str, name: str) -> None:
     """Print the address of a page, and show it in a browser if there is a display; url_once: what this one opens."""
     console.say(f"{name}: {url}")
-    if has_display():
+    has_display = sys.platform == "darwin" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if has_display and "SSH_CONNECTION" not in os.environ:
         webbrowser.open(url_once)
-
-
-def has_display() -> bool:
-    """Whether the user at the terminal sees a browser that is opened here."""
-    if "SSH_CONNECTION" in os.environ:
-        return False
-    return sys.platform == "darwin" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

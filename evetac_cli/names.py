@@ -112,7 +112,6 @@ class Capability(StrEnum):
     ADJUSTABLE = "a camera with settings (--camera virtual, dvxplorer or dv)"
     MOVED = "a gripper that moves (--gripper virtual or PORT)"
     PREVIEW = "--preview"
-    SHOWN = "a live view (--live or --preview)"
     LISTENING = "a robot's program that starts the trials (--listen)"
     SIMULATED = "a camera in a simulated scene"
     REPLAY = "a replayed recording (--camera replay:FILE)"

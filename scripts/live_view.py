@@ -3,7 +3,7 @@
     python scripts/live_view.py [--seconds 60] [--pairs 5] [--busy 0] [-o runs.json]
 
 A recording is `evetac record --camera virtual:prepared --gripper none` at 1000 slices per second: the real driver,
-prepared event words, and the recorder. The view is `--live --live-in browser`. A client in this program requests
+prepared event words, and the recorder. The view is `--live`. A client in this program requests
 picture after picture, as a browser does, and counts them. The order within a pair alternates.
 
 Lost slices are slices without an event, which this camera never sends, plus the number of slices that the events lost
@@ -81,7 +81,7 @@ def one(chosen: argparse.Namespace, folder: Path, *, live: bool) -> dict[str, An
     words = [
         *("--camera", f"virtual:prepared={chosen.events_per_s}", "--gripper", "none"),
         *("--calibration", str(grid(folder)), "--seconds", f"{chosen.seconds:g}"),
-        *(["--live", "--live-in", "browser"] if live else []),
+        *(["--live"] if live else []),
         *("-q", "--json", "--force", "-o", str(out)),
     ]
     away = ("DISPLAY", "WAYLAND_DISPLAY")  # no browser opens: the client takes its place

@@ -189,7 +189,7 @@ def run_jobs(
     results: dict[Path, Outcome | EvetacError],
 ) -> None:
     """Run the jobs, several at a time if requested, and fill in the results; one failure does not stop the others."""
-    shown = getattr(params, "shown_in", None) is not None  # a live view prints its own lines
+    shown = getattr(params, "shown", False)  # a live view prints its own lines
     quiet, force = running.quiet or shown or getattr(params, "listen", False), running.force
     engine = flags.Engine.parse(running.engine)
     exclusive = shown or any(job.exclusive for job in jobs)

@@ -206,16 +206,16 @@ class Record(Devices, Trials):
     )
     preview: bool = parameter(
         False,
-        "Show the camera's view. Nothing is written and nothing moves.",
+        "Show the camera's view in the browser. Nothing is written and nothing moves.",
         recipe=False,
         panel=VIEW,
         needs=SERIES,
     )
 
     @property
-    def shown_in(self) -> str | None:
-        """Where the trial is shown, as in Trials; a preview is always shown."""
-        return self.live_in if self.live or self.preview else None
+    def shown(self) -> bool:
+        """Whether the trials are shown while they run; a preview always is."""
+        return self.live or self.preview
 
 
 COMMAND = Command(

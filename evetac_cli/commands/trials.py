@@ -164,26 +164,18 @@ class Trials:
     )
     live: bool = parameter(
         False,
-        "Show the trial while it is recorded, on a page in the browser with dots, slip, force and gripper.",
+        "Show the trial while it is recorded, on a page in the browser with dots, slip, force and gripper; its address"
+        " is printed.",
         recipe=False,
         panel=VIEW,
         needs=(Capability.SCENE, Capability.RECORDED, Capability.PREVIEW, Capability.GRASPED),
     )
-    live_in: str = parameter(
-        "auto",
-        "Where the live view appears. browser: the page's address is printed. terminal: drawn with characters. auto: in"
-        " a browser if there is a display.",
-        choices=("auto", "browser", "terminal"),
-        recipe=False,
-        panel=VIEW,
-        needs=(Capability.SHOWN,),
-    )
     dry_run: bool = parameter(False, "Only print what would be made and its cost.", recipe=False, panel=RUNNING)
 
     @property
-    def shown_in(self) -> str | None:
-        """Where the trials are shown while they run: auto, browser or terminal; None: not shown."""
-        return self.live_in if self.live else None
+    def shown(self) -> bool:
+        """Whether the trials are shown while they run."""
+        return self.live
 
     def solver(self) -> dict[str, Any]:
         """Return the simulation settings that were given as flags."""

@@ -35,11 +35,10 @@ DETAILS = frozenset(  # columns of SolverFigures
 class ViewRequest:
     """How a trial is shown while it runs.
 
-    where: auto, browser or terminal; model: the displayed slip detector, None for the pretrained one; threshold: for
-    its slip, None for the model's own; preset: of the tracker.
+    model: the displayed slip detector, None for the pretrained one; threshold: for its slip, None for the model's own;
+    preset: of the tracker.
     """
 
-    where: str
     model: Path | None = None
     threshold: float | None = None
     preset: str = "stable"
@@ -123,7 +122,7 @@ class ReplayTrial(Trial):
 
 def view_of(params: Trials) -> ViewRequest | None:
     """Return how the trials are shown, or None if the flags do not request it."""
-    return None if params.shown_in is None else ViewRequest(params.shown_in)
+    return ViewRequest() if params.shown else None
 
 
 def simulated_trials(

@@ -30,7 +30,7 @@ ANSWER_S = 3.0
 PROGRAMS = {
     "door": ("record --camera virtual:prepared --gripper none --listen -o door", "door/evetac.listen"),
     "view": (
-        "record --camera virtual:prepared=20000 --gripper virtual --hold-s 100 --live --live-in browser -o view",
+        "record --camera virtual:prepared=20000 --gripper virtual --hold-s 100 --live -o view",
         "view/*.part/0*.h5",
     ),
     "review": ("label one.recording.h5 --review --by Ada", ""),

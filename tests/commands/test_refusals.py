@@ -34,7 +34,6 @@ RECORD: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     (SIM, {"stream": "a"}, "--stream"),
     (SIM, {"resume": True}, "--resume"),
     (SIM, {"threshold_on": 3}, "--threshold-on"),
-    (SIM, {"live_in": "browser"}, "--live-in"),
     (SIM, {"live": True, "seconds": 3.0}, "--seconds"),
     (SIM, LISTEN, "--listen"),
     (SIM, {"gripper": "virtual"}, "--gripper"),
@@ -131,8 +130,8 @@ PREDICT_TOUCH: list[tuple[dict[str, Any], str]] = [
 # Flags of `record` that have an effect together.
 OF_A_SOURCE: list[dict[str, Any]] = [
     {"tones": "200", "scene": "vibration", "count": 3, "seed": 4, "sensor": "second"},
-    {"preview": True, "seconds": 3.0, "live_in": "terminal"},
-    {"live": True, "live_in": "browser"},
+    {"preview": True, "seconds": 3.0},
+    {"live": True},
     {**FILE, "frame_size": "640x480", "sort": True, "stream": "a", "calibration": Path("a.json")},
     {"camera": "virtual", "scene": "data-rate", "objects": "3", "count": 2, "seconds": 3.0, "hold_s": 3.0},
     {**PREPARED, "threshold_on": 3, "gripper": "none", "expected_event_rate": 1e4},

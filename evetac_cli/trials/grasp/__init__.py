@@ -98,8 +98,6 @@ def _refuse_unused(params: Grasp, camera: NamedCamera) -> None:
         has.add(Capability.GRASPED)
         if params.listen:
             has.add(Capability.LISTENING)
-    if params.live:
-        has.add(Capability.SHOWN)
     flags = f"--camera {params.camera}{params.gripper_flag()}{', --live' * params.live}"
     refuse_unused(params, has, flags, never=NOT_OF_GRASP)
 

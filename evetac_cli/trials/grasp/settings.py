@@ -143,11 +143,11 @@ class GraspSettings:
 
     def view(self, params: Grasp) -> ViewRequest | None:
         """Return how the trials are shown, if requested: with the grasp's detector, otherwise the pretrained one."""
-        if params.shown_in is None:
+        if not params.shown:
             return None
         if self.detector is None:
-            return ViewRequest(params.shown_in, None, None, params.tracker)
-        return ViewRequest(params.shown_in, self.detector.path, self.detector.threshold, params.tracker)
+            return ViewRequest(preset=params.tracker)
+        return ViewRequest(self.detector.path, self.detector.threshold, params.tracker)
 
     def parents(self) -> tuple[Header, ...]:
         """Return the header of the detector's model, if any, as parents of a recipe."""

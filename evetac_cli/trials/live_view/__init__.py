@@ -1,11 +1,10 @@
-"""--live: a browser page, or a character picture on the terminal, that shows a recording while it is made.
+"""--live: a browser page that shows a recording while it is made.
 
 The recording process passes slices and commands through shared memory, which takes some us, and never waits for the
 view. The view is a separate process with the lowest priority (process.py).
 """
 
 import multiprocessing
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -21,17 +20,7 @@ from evetac_cli.events import Events
 from evetac_cli.realtime.last_words import LastWords, exit_words, telling, with_reason
 from evetac_cli.realtime.message_pipe import MessageWriter
 from evetac_cli.realtime.processes import start_shielded, wait_while_computing
-from evetac_cli.trials.live_view.shared_view import (
-    BROWSER,
-    TERMINAL,
-    Begun,
-    Ended,
-    GripperNumbers,
-    Lost,
-    Said,
-    SharedView,
-    Title,
-)
+from evetac_cli.trials.live_view.shared_view import Begun, Ended, GripperNumbers, Lost, Said, SharedView, Title
 from evetac_cli.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -45,17 +34,15 @@ SETTLED_MS = 2000  # if a simulation falls this far behind real time, its pace i
 class LiveView:
     """The view of one recording, from the recorder's side; nothing here waits, and a failing view causes no error."""
 
-    def __init__(self, where: str, title: Title, open_detector: "OpenDetector") -> None:
+    def __init__(self, title: Title, open_detector: "OpenDetector") -> None:
         """Start the view's process, and wait until it can be viewed; DeviceError if it does not start."""
         from evetac_cli.trials.live_view.process import run_view
 
         context = multiprocessing.get_context("spawn")
         self._shared = SharedView()
-        self._where = where
         inbox, outbox = context.Pipe(duplex=False)
         ready, ready_end = context.Pipe(duplex=False)
         self._messages = MessageWriter(outbox, MOST_BYTES)
-        self._delayed: list[str] = []
         self._lost: tuple[str, str] | None = None
         self._missed = 0
         self._has_ended = self._has_told = False
@@ -63,7 +50,7 @@ class LiveView:
         self._last_words = LastWords()
         self._process = context.Process(
             target=telling,
-            args=(self._last_words, run_view, where, title, self._shared, open_detector, inbox, ready_end),
+            args=(self._last_words, run_view, title, self._shared, open_detector, inbox, ready_end),
             name="evetac-live-view",
             daemon=True,
         )
@@ -117,12 +104,9 @@ class LiveView:
             self._send(Lost(*now))
 
     def say(self, text: str) -> None:
-        """Show a message to the user: on the terminal at once, or if the view is drawn there, at its end."""
+        """Show a message to the user, on the page and the terminal."""
         self._send(Said(text))
-        if self._where == TERMINAL and sys.stderr.isatty():
-            self._delayed.append(text)
-        else:
-            console.say(text)
+        console.say(text)
 
     @property
     def is_asked_to_let_go(self) -> bool:
@@ -142,8 +126,6 @@ class LiveView:
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
-        for text in self._delayed:
-            console.say(text)
 
     def _tell_death(self) -> None:
         """Report once that the view has died, why, and the effect on its button."""
@@ -174,28 +156,17 @@ def opened(trial: Trial, name: str, *, moves: bool) -> Iterator[LiveView | None]
     from evetac_cli.local_server import announce
     from evetac_cli.trials.grasp.online_detector import open_view_detector
 
-    where = place(request.where)
     title = Title(name, trial.shows_simulation, moves)
-    view = LiveView(where, title, partial(open_view_detector, request.model, request.preset, request.threshold))
+    view = LiveView(title, partial(open_view_detector, request.model, request.preset, request.threshold))
     ended = "ended"
     try:
-        if where == BROWSER:
-            announce(view.url, view.url_once, "live view")
+        announce(view.url, view.url_once, "live view")
         yield view
     except BaseException as error:
         ended = str(error).splitlines()[0] if str(error) else "interrupted"
         raise
     finally:
         view.end(ended)
-
-
-def place(where: str) -> str:
-    """Return BROWSER or TERMINAL, as requested; by default the browser if there is a display."""
-    from evetac_cli.local_server import has_display
-
-    if where in (BROWSER, TERMINAL):
-        return where
-    return BROWSER if has_display() else TERMINAL
 
 
 def shown_in_real_time(

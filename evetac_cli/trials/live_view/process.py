@@ -1,4 +1,4 @@
-"""The process of a live view: serves a page or draws on the terminal, with lower priority than all recording processes.
+"""The process of a live view: serves its page, with lower priority than all recording processes.
 
 It has the highest possible niceness, so that a busy computer loses pictures first. It ends with the process that
 started it, and its failure never affects the recording.
@@ -8,35 +8,25 @@ import contextlib
 import json
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from evetac_cli import console
 from evetac_cli.interrupts import ignore_interrupts
 from evetac_cli.local_server import PageServer
 from evetac_cli.realtime.message_pipe import MessageReader
 from evetac_cli.realtime.processes import set_niceness
 from evetac_cli.resources import DATA
 from evetac_cli.trials.live_view.samples import PERIOD_S, Follower, OpenDetector, load
-from evetac_cli.trials.live_view.shared_view import BROWSER, Begun, Ended, Lost, Said, SharedView, Title
+from evetac_cli.trials.live_view.shared_view import Begun, Ended, Lost, Said, SharedView, Title
 
 NICENESS = 19
-TERMINAL_PERIOD_S = 0.1
 MOST_SAID = 20
 HERE = Path(__file__).parent
 FILES = (HERE / "page.html", HERE / "page.js", HERE / "page.css", DATA / "touch_map.js")
 LAST_S = 0.5  # time for clients that draw a picture to request the last message
-COLUMNS, ROWS = 80, 30  # characters, which are twice as high as wide
-SHADES = " .:-=+*#%@"
-FULL = 1.0  # events per pixel for the darkest shade
-LEAST_EVENTS = 6  # fewest events of a displayed character: noise events are scattered and single
-NOISE_SPREADS = 4.0  # a displayed character has more events than the noise level by this many standard deviations
 
 
 class ViewState:
@@ -97,58 +87,31 @@ class ViewState:
 
 
 def run_view(
-    where: str, title: Title, shared: SharedView, open_detector: OpenDetector, pipe: Connection, ready: Connection
+    title: Title, shared: SharedView, open_detector: OpenDetector, pipe: Connection, ready: Connection
 ) -> None:
-    """Run the process: `where` is BROWSER or TERMINAL.
-
-    `ready` receives the page's address, and the one that works once, or "", once it can be viewed.
-    """
+    """Run the process; `ready` receives the page's address, and the one that works once, when it can be viewed."""
     ignore_interrupts()
     load(open_detector)  # nothing is being recorded yet
     set_niceness(NICENESS)
     state = ViewState(title, Follower(shared), MessageReader(pipe), open_detector)
     with contextlib.suppress(BrokenPipeError):  # the recording process has gone and can receive nothing
-        if where == BROWSER:
-            _serve(state, shared, ready)
-        else:
-            ready.send(("", ""))
-            _draw(state)
+        _serve(state, shared, ready)
 
 
 def _serve(state: ViewState, shared: SharedView, ready: Connection) -> None:
     server = PictureServer(shared.let_go if state.title.moves else lambda: None)
     ready.send((server.url, server.url_once))
-    for began_s, sample in _samples(state):
-        if server.is_asked:
-            news = {**state.news(sample), "let_go": shared.is_asked_to_let_go}
-            server.send(news, state.follower.image(), state.description, state.version)
-        time.sleep(_left_s(began_s, PERIOD_S))
-    server.end(state.ended)
-
-
-def _draw(state: ViewState) -> None:
-    with console.live() as show:
-        for began_s, sample in _samples(state):
-            show(screen(state.follower, sample, state.lost.events, state.messages))
-            time.sleep(_left_s(began_s, TERMINAL_PERIOD_S))
-
-
-def _samples(state: ViewState) -> Iterator[tuple[float, dict[str, Any]]]:
-    """Yield a sample, and when (s) it was begun, until the recording ends."""
     while True:
         began_s = time.monotonic()
         state.listen()
         if state.ended:
-            return
-        yield began_s, state.follower.sample()
-
-
-def _left_s(began_s: float, period_s: float) -> float:
-    """Return the time until the next sample, in s; a late sample does not make the next one earlier."""
-    return max(began_s + period_s - time.monotonic(), 1e-3)
-
-
-# In a browser
+            break
+        sample = state.follower.sample()
+        if server.is_asked:
+            news = {**state.news(sample), "let_go": shared.is_asked_to_let_go}
+            server.send(news, state.follower.image(), state.description, state.version)
+        time.sleep(max(began_s + PERIOD_S - time.monotonic(), 1e-3))  # a late sample makes the next no earlier
+    server.end(state.ended)
 
 
 class PictureServer(PageServer):
@@ -212,54 +175,3 @@ def _message(news: Mapping[str, Any], image: bytes) -> bytes:
     """Return the news as JSON, preceded by its length and followed by the picture."""
     text = json.dumps(news, allow_nan=False, separators=(",", ":")).encode()
     return len(text).to_bytes(4, "little") + text + image
-
-
-# On a terminal: the figures, and below them the areas with more events than noise
-
-
-def screen(follower: Follower, sample: Mapping[str, Any], lost: str, messages: Sequence[str]) -> str:
-    """Return the whole view: figures, events, and the last message."""
-    x, y, _ = follower.latest()
-    events = picture(x, y, follower.frame_px)
-    lines = [headline(sample, lost), with_dots(events, follower.dots(), follower.frame_px)]
-    return "\n".join([*lines, *follower.notes, *messages[-1:]])
-
-
-def headline(sample: Mapping[str, Any], lost: str) -> str:
-    """Return the figures of a sample, in one line of at most 80 characters."""
-
-    def figure(name: str, form: str, words: str) -> list[str]:
-        value = sample.get(name)
-        return [] if value is None else [words.format(format(value, form))]
-
-    parts = [
-        *figure("t", ".1f", "{} s"),
-        *figure("events_per_s", ",.0f", "{} events/s"),
-        f"lost {lost}",
-        *figure("late_most_ms", ".1f", "late {} ms"),
-        *figure("probability", ".2f", "slip {}"),
-        *figure("position_ticks", ".0f", "at {}"),
-        *figure("current_ma", ".0f", "{} mA"),
-    ]
-    return "  ".join(parts)[:COLUMNS]
-
-
-def with_dots(events: str, dots: Sequence[Sequence[float]], frame_px: tuple[int, int]) -> str:
-    """Return the picture with an o at each dot, or an x if it is lost; dots: rows x, y, ..., lost."""
-    lines = [list(line) for line in events.splitlines()]
-    for x, y, *_, lost in dots:
-        lines[int(y) * ROWS // frame_px[1]][int(x) * COLUMNS // frame_px[0]] = "x" if lost else "o"
-    return "\n".join(map("".join, lines))
-
-
-def picture(x: NDArray[Any], y: NDArray[Any], frame_px: tuple[int, int]) -> str:
-    """Return events at x, y as ROWS lines of COLUMNS characters, darker for more; scattered ones are not shown."""
-    width, height = frame_px
-    place = y.astype(np.int64) * ROWS // height * COLUMNS + x.astype(np.int64) * COLUMNS // width
-    counts = np.bincount(place, minlength=ROWS * COLUMNS)
-    pixels = width * height / (ROWS * COLUMNS)
-    dark = np.sqrt(np.minimum(counts / (FULL * pixels), 1.0))  # so that events of a single dot are visible too
-    noise = float(np.median(counts))  # most characters have only noise
-    dark[(counts < LEAST_EVENTS) | (counts <= noise + NOISE_SPREADS * np.sqrt(noise))] = 0.0
-    shade = np.ceil(dark * (len(SHADES) - 1)).astype(np.int64).reshape(ROWS, COLUMNS)
-    return "\n".join("".join(SHADES[value] for value in line) for line in shade)

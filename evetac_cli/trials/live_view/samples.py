@@ -245,13 +245,6 @@ class Follower:
         """Return the touch map of the latest sample, in the form for a page; None without one."""
         return None if self._touch is None else self._touch.map()
 
-    def latest(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """Return the columns x, y, p of the events of the latest SHOWN_MS slices."""
-        if not self._latest:
-            return np.empty(0, np.uint16), np.empty(0, np.uint16), np.empty(0, np.uint8)
-        x, y, p = (np.concatenate(column) for column in zip(*self._latest, strict=True))
-        return x, y, p
-
     def image(self) -> bytes:
         """Return one byte per pixel, row by row.
 

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from evetac_cli.events import Events
 from evetac_cli.realtime.shared_row import SharedRow
 
-BROWSER, TERMINAL = "browser", "terminal"  # where the view is shown
 SLICES = 1 << 13  # 8 s
 EVENTS = 1 << 21  # 2 s at a million per second
 MOST_EVENTS = EVENTS // 8  # limit of one slice; this many may be in the middle of a write while others are read

@@ -82,8 +82,6 @@ def _refuse_unused(params: Record, cameras: Sequence[NamedCamera], gripper: Name
         has |= {Capability.RECORDED} | gripper.capabilities
         if params.listen:
             has.add(Capability.LISTENING)
-    if params.shown_in is not None:
-        has.add(Capability.SHOWN)
     shown = ", --preview" * params.preview or ", --live" * params.live
     flags = f"--camera {params.camera}{params.gripper_flag()}{shown}"
     refuse_unused(params, has, flags, never={Capability.GRASPED})

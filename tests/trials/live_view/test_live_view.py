@@ -15,37 +15,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.commands.grasp import Grasp
-from evetac_cli.commands.record import Record
-from evetac_cli.errors import DeviceError, InputError
+from evetac_cli.errors import DeviceError
 from evetac_cli.events import empty
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.files import StageFile
-from evetac_cli.trials import grasp, live_view, record
+from evetac_cli.trials import live_view
 from evetac_cli.trials.live_view.shared_view import Title
 from tests.cli.test_jobs import lives
 from tests.patience import PATIENCE_S, until
 from tests.trials.live_view.test_server import Client
 
 FAST = ["--seconds", "4", "--expected-event-rate", "1e5"]
-
-
-@pytest.mark.parametrize(
-    ("display", "ssh", "asked", "where"),
-    [
-        (":0", "", "auto", "browser"),
-        ("", "", "auto", "terminal"),
-        (":10", "10.0.0.1 1 10.0.0.2 22", "auto", "terminal"),
-        ("", "10.0.0.1 1 10.0.0.2 22", "browser", "browser"),
-        (":0", "", "terminal", "terminal"),
-    ],
-)
-def test_where_it_is_shown(display: str, ssh: str, asked: str, where: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert a page where somebody can see a browser, characters elsewhere, and what was asked for before all."""
-    for name, value in (("DISPLAY", display), ("SSH_CONNECTION", ssh), ("WAYLAND_DISPLAY", "")):
-        monkeypatch.setenv(name, value) if value else monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(sys, "platform", "linux")
-    assert live_view.place(asked) == where
 
 
 def test_a_simulation_is_no_faster_than_real_time() -> None:
@@ -68,16 +48,6 @@ def test_a_simulation_is_no_faster_than_real_time() -> None:
     assert len(taken) == 100
     assert shown == [*[0.5] * 4, 3, *[0.5] * 96]
     assert live_view.shown_in_real_time(None, taken.append) == taken.append  # type: ignore[arg-type]
-
-
-def test_options_that_show_nothing_are_refused(tmp_path: Path) -> None:
-    """Assert that --live-in asks for --live, that an import shows nothing, and a replayed grasp neither."""
-    with pytest.raises(InputError, match="--live-in"):
-        record.jobs([], Record(live_in="browser"), tmp_path)
-    with pytest.raises(InputError, match="--live: "):
-        record.jobs([], Record(source=Path("a.txt"), live=True), tmp_path)
-    with pytest.raises(InputError, match="--live-in"):
-        grasp.jobs([], Grasp(live_in="terminal"), tmp_path)
 
 
 class Shown:
@@ -131,7 +101,7 @@ def shown(folder: Path, command: str, *more: str) -> Iterator[Shown]:
     dots = np.stack([x, y], axis=-1).tolist()
     (folder / "grid.json").write_text(json.dumps({"frame_px": [640, 480], "radius_px": 11.0, "dot_xy_px": dots}))
     words = ["--camera", "virtual:prepared=100000", "--calibration", str(folder / "grid.json")]
-    words += ["--live", "--live-in", "browser", "-o", str(folder / "a.recording.h5"), *more]
+    words += ["--live", "-o", str(folder / "a.recording.h5"), *more]
     environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
     run = subprocess.Popen(
         [sys.executable, "-m", "evetac_cli", command, "-q", *words],
@@ -212,9 +182,9 @@ def test_a_view_that_does_not_come_up_says_why() -> None:
     """Assert that its death while it starts is told with what is known of it."""
     title = Title("record a", simulated=True, moves=False)
     with pytest.raises(DeviceError, match=r"the live view died while it started \(exit code 1"):
-        live_view.LiveView("terminal", title, Bomb(True))  # type: ignore[arg-type]
+        live_view.LiveView(title, Bomb(True))  # type: ignore[arg-type]
     with pytest.raises(DeviceError, match=r"died while it started \(exit code 1: TypeError: .*, in samples.py, line"):
-        live_view.LiveView("terminal", title, 3)  # type: ignore[arg-type]
+        live_view.LiveView(title, 3)  # type: ignore[arg-type]
 
 
 @pytest.mark.slow
@@ -234,7 +204,7 @@ def test_a_simulated_grasp_is_the_same_with_a_view(tmp_path: Path) -> None:
     for live in (False, True):
         out = tmp_path / f"{live}.recording.h5"
         words = ["grasp", "-q", "--lift-s", "1", "--balance-s", "0", "-o", str(out)]
-        words += ["--live", "--live-in", "terminal"] if live else []
+        words += ["--live"] if live else []
         subprocess.run([sys.executable, "-m", "evetac_cli", *words], cwd=PACKAGE.parent, check=True)
         with StageFile(out, "recording") as file:
             files.append({name: file.read(name) for name in file.contents()} | {"id": file.header["id"]})

@@ -12,7 +12,7 @@ from tests.trials.live_view.fake_view import FakeView
 
 
 def preview(camera: str, folder: Path, **flags: str) -> None:
-    params = Record(camera=camera, preview=True, seconds=0.2, live_in="terminal", **flags)
+    params = Record(camera=camera, preview=True, seconds=0.2, **flags)
     (job,) = record.jobs([], params, folder)
     shown = record.run(job, params)
     assert shown.rows[0]["slices"] == 200
