@@ -37,7 +37,7 @@ EXTRAS = {
     "camera": ("dv_processing",),
     "convert": ("rosbags", "mcap", "faery", "lz4", "zstandard", "hdf5plugin", "pyarrow", "PIL", "av"),
     "plot": ("matplotlib", "bokeh", "PIL"),
-    "cluster": ("dask", "distributed", "cryptography"),
+    "cluster": ("dask", "distributed"),
     "robot": ("mujoco", "gymnasium", "cma"),
 }
 # The command that makes each kind of file; recordings are also made by grasp, trim and repair.
@@ -225,14 +225,11 @@ def missing_library(error: BaseException | None) -> EvetacError | None:
 
 
 def missing_extra(
-    message: str, extra: str, *, where: str = "", error: Exception | None = None, found: str = "", otherwise: str = ""
+    message: str, extra: str, *, where: str = "", error: Exception | None = None, found: str = ""
 ) -> MissingLibrary:
-    """Return the error that a library of one of EXTRAS is missing or does not load (`error`), and how to install it.
-
-    otherwise: an alternative that works without the library.
-    """
-    hint = install_hint(extra) + (f", or {otherwise}" if otherwise else "")
-    return MissingLibrary(message, where=where, found=found or (str(error) if error else ""), hint=hint)
+    """Return the error that a library of one of EXTRAS is missing or does not load (`error`), and how to install it."""
+    found = found or (str(error) if error else "")
+    return MissingLibrary(message, where=where, found=found, hint=install_hint(extra))
 
 
 @contextmanager

@@ -85,8 +85,7 @@ def with_engine(words: Command, jobs: int, engine: str) -> Command:
     if words[1] not in IN_PARALLEL and words[1:3] != ["evaluate", "slip"]:
         return words
     ours = words[0] == "evetac"
-    at_once = [] if ours and engine.startswith("dask:") else ["--jobs", str(jobs)]
-    return [*words, *at_once, *(["--engine", engine] if ours and engine != "local" else [])]
+    return [*words, *(["--engine", engine] if ours and engine != "local" else ["--jobs", str(jobs)])]
 
 
 def in_order(names: Iterable[str]) -> list[Experiment]:
@@ -247,7 +246,7 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("--jobs", type=int, default=1, help="files worked on at the same time")
     parser.add_argument(
-        "--engine", default="local", help="local, dask, or dask:tls://ADDRESS, as for evetac (docs/cluster.md)"
+        "--engine", default="local", help="local, or dask:tls://ADDRESS, as for evetac (docs/cluster.md)"
     )
     parser.add_argument("--out", type=Path, default=ROOT, help="folder of the experiments' folders")
     parser.add_argument("--results", type=Path, default=None, help="folder of the tables")

@@ -12,7 +12,6 @@ NAMES = {
 }
 # Which module makes which. Before a row is added: who can reach it, and does docs/safety.md say so?
 DOORS = {
-    "cli/dask_engine.py": {"LocalCluster"},
     "devices/virtual/gripper.py": {"openpty"},
     "formats/read/bags/bag_files.py": {"gettempdir"},
     "kernel_cache.py": {"gettempdir"},

@@ -33,7 +33,7 @@ NEEDED = {
     "view": ("bokeh", "view {f} -o {o}/a.html", "plot"),
     "view, images": ("PIL", "view {f} -o {o}/a.html", "plot"),
     "report": ("matplotlib", "report . -o {o}/a.html", "plot"),
-    "Dask": ("dask", "track {f} --engine dask -o {o}", "cluster"),
+    "Dask": ("distributed", "track {f} --engine dask:tcp://127.0.0.1:1 -o {o}", "cluster"),
     "dv": ("dv_processing", "record --camera dv --seconds 0.1 -o {o}/a.recording.h5", "camera"),
 }
 

@@ -1,4 +1,4 @@
-"""Jobs on a Dask cluster: an existing one, or one that is started on this computer while the jobs run.
+"""Jobs on a running Dask cluster.
 
 A job reads and writes its files itself. The cluster therefore needs storage that all its computers share; only paths
 and rows are sent. A worker changes to the folder in which the command was started, so that paths, rows and recipes are
@@ -7,17 +7,15 @@ the same with every engine. A task is one job, or as many short ones as take TAS
 While a command runs, it keeps a sign file next to the outputs. A worker that sees the file shares the storage. A
 worker that no longer sees it has to stop, because Dask itself cannot end a running task.
 
-There are never more tasks than workers, and evetac's own cluster gives up a task when its worker dies. The reason: Dask
-counts the death of a worker against every task assigned to it, even tasks that only waited there or were moved there
-from another dead worker. So this module resubmits jobs itself. A worker runs one job at a time, since the working
-folder belongs to the whole process.
+There are never more tasks than workers, because Dask counts the death of a worker against every task assigned to it,
+even tasks that only waited there. A worker runs one job at a time, since the working folder belongs to the whole
+process.
 """
 
 import itertools
 import logging
 import pkgutil
 import queue
-import tempfile
 import time
 import uuid
 from collections import deque
@@ -30,44 +28,34 @@ from typing import Any
 from evetac_cli import __version__, console, plugins
 from evetac_cli.cli import workers
 from evetac_cli.cli.dask_worker import LOOK_S, ClusterCommand, WorkerRefused, check_worker, run_task
-from evetac_cli.cli.flags import Engine
-from evetac_cli.errors import EvetacError, InputError, missing_extra, shortened
+from evetac_cli.errors import EvetacError, InputError, shortened
 from evetac_cli.interrupts import CTRL_C, SignalsLetThrough, signals_blocked
 from evetac_cli.jobs import Job, Outcome, Progress
 
-GRACE_S = 5.0  # time for the workers of an existing cluster to stop
-DEATHS = 3  # deaths of workers during the same job after which the job is considered the cause
+GRACE_S = 5.0  # time for workers to stop
 TASK_S = 1.0  # shorter jobs are submitted together
 CONNECT_S = 20.0
-LOOPBACK = "127.0.0.1"
 
 
 def run_on_dask(
-    engine: Engine,
+    address: str,
     module: str,
     jobs: list[Job],
     params: Any,
     force: bool,
-    at_once: int,
     progress: Progress,
     results: dict[Path, Outcome | EvetacError],
 ) -> None:
     """Run jobs as tasks of a Dask cluster, and store each result in `results` under its output, also on Ctrl-C.
 
-    Without an address, a cluster of `at_once` processes is started on this computer and ended afterwards. A job whose
-    worker dies is run again by another worker.
+    A job whose worker dies is run again by another worker.
     """
-    from multiprocessing import resource_tracker
-
-    workers.compute_on_one_thread()
-    resource_tracker.ensure_running()  # otherwise starting a worker starts it, and unblocks interrupts
-    # Ctrl-C in a terminal reaches all processes. Workers started by the cluster inherit the block and ignore it.
     with signals_blocked(CTRL_C):
         try:
             progress(0, 0, "waiting for the cluster")
-            with _sign(jobs[0].output.parent) as sign, _client(engine, at_once) as client:
+            with _sign(jobs[0].output.parent) as sign, _client(address) as client:
                 command = ClusterCommand(module, params, force, __version__, Path.cwd(), sign, plugins.parts())
-                _Run(client, command, jobs, progress, results, engine).run()
+                _Run(client, command, jobs, progress, results).run()
         finally:
             workers.remove_unfinished([job.output for job in jobs if not isinstance(results.get(job.output), Outcome)])
 
@@ -91,19 +79,15 @@ def _sign(folder: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _client(engine: Engine, at_once: int) -> Iterator[Any]:
-    """Yield a client of the given cluster, or of one that is started here; InputError if no cluster answers."""
+def _client(address: str) -> Iterator[Any]:
+    """Yield a client of the scheduler at an address; InputError if none answers."""
     from distributed import Client
 
     for name in list(logging.root.manager.loggerDict):
         if name.startswith("distributed"):
             logging.getLogger(name).setLevel(logging.CRITICAL)  # evetac reports what matters
-    if engine.address:
-        _require_scheduler(engine.address)
-        with Client(engine.address, timeout=CONNECT_S, set_as_default=False) as client:
-            yield client
-        return
-    with _own_cluster(at_once) as cluster, Client(cluster, set_as_default=False) as client:
+    _require_scheduler(address)
+    with Client(address, timeout=CONNECT_S, set_as_default=False) as client:
         yield client
 
 
@@ -146,58 +130,6 @@ def _require_scheduler(address: str) -> None:
     )
 
 
-@contextmanager
-def _own_cluster(at_once: int) -> Iterator[Any]:
-    """Yield a cluster of `at_once` processes on this computer that accepts jobs only from this command.
-
-    Anyone who can connect to a scheduler or a worker can run programs as its owner. So scheduler, workers and client
-    require from each other a certificate that is created here and exists only in their memory. None of them serves
-    HTTP. Their working folders are in a folder of this user, not below a name in /tmp that others could create.
-    EvetacError: the library cryptography is missing.
-    """
-    import dask
-    from distributed import LocalCluster, Security
-
-    try:
-        credentials = Security.temporary()
-    except ImportError as error:
-        what = "the library cryptography is needed for the cluster's certificates"
-        where, otherwise = "--engine dask", "--engine local"
-        raise missing_extra(what, "cluster", where=where, error=error, otherwise=otherwise) from None
-    no_routes: dict[str, list[str]] = {f"distributed.{role}.http.routes": [] for role in ("scheduler", "worker")}
-    settings = {
-        "distributed.scheduler.allowed-failures": 0,
-        "distributed.worker.profile.enabled": False,
-        "distributed.admin.tick.interval": "1 s",  # each tick interrupts the job in the interpreter
-        # Dask's default returns freed memory at once, so the next array has to request it again, page by page.
-        "distributed.nanny.pre-spawn-environ": dict.fromkeys(workers.ONE_THREAD, "1"),
-        "distributed.comm.timeouts.connect": f"{CONNECT_S} s",
-        **no_routes,
-    }
-    above = dask.config.get("temporary-directory", None)
-    with (
-        tempfile.TemporaryDirectory(prefix="evetac-dask-", dir=above, ignore_cleanup_errors=True) as folder,
-        dask.config.set(settings | {"temporary-directory": folder}),
-        LocalCluster(
-            n_workers=at_once,
-            threads_per_worker=1,
-            processes=True,
-            memory_limit=0,  # as for the engine local
-            security=credentials,
-            preload=[__name__],
-            scheduler_kwargs={"dashboard": False, "dashboard_address": f"{LOOPBACK}:0", "preload": [__name__]},
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-    ):
-        yield cluster
-
-
-def dask_setup(server: Any) -> None:
-    """Close the HTTP server of a scheduler or worker of evetac's own cluster; Dask calls this when it starts one."""
-    for service in server.services.values():
-        service.stop()
-
-
 class _Run:
     """The jobs of a command while they run on a cluster."""
 
@@ -208,15 +140,13 @@ class _Run:
         jobs: list[Job],
         progress: Progress,
         results: dict[Path, Outcome | EvetacError],
-        engine: Engine,
     ) -> None:
-        self.client, self.command, self.engine = client, command, engine
+        self.client, self.command = client, command
         self.waiting = deque(jobs)
         self.count, self.done = len(jobs), 0
         self.progress, self.results = progress, results
         self.running: dict[Any, list[Job]] = {}  # by their futures
         self.alone = False  # whether every job is a separate task
-        self.deaths: dict[Path, int] = {}  # deaths of workers during a job, by its output
         self.took_s, self.took_jobs = 0.0, 0  # working time and number of all jobs that ended
         self.handed_out_s: dict[Any, float] = {}  # time of submission, by future
         self.ended: queue.SimpleQueue[Any] = queue.SimpleQueue()  # futures
@@ -309,14 +239,10 @@ class _Run:
             if len(jobs) > 1:  # run as separate tasks, the job at fault shows
                 self.alone = True
                 return []
-            output = jobs[0].output
-            self.deaths[output] = deaths = self.deaths.get(output, 0) + error.allowed_failures + 1
-            if deaths < DEATHS:
-                return []
             return [
                 EvetacError(
-                    f"{deaths} workers died during this job",
-                    where=str(output),
+                    f"{error.allowed_failures + 1} workers died during this job",
+                    where=str(jobs[0].output),
                     found=f"the last was {error.last_worker.address}",
                     hint="out of memory? use workers with more memory, or fewer workers per computer",
                 )
@@ -380,10 +306,10 @@ class _Run:
         self.fit = sorted(set(versions) - set(reasons))
 
     def _stop(self) -> None:
-        """Signal workers to stop, and take results finished in time; those of evetac's own cluster are then killed."""
+        """Signal workers to stop, and take results finished in time."""
         self.stopping = True
         self.command.sign.unlink(missing_ok=True)
-        end_s = time.monotonic() + (GRACE_S if self.engine.address else workers.GRACE_S)
+        end_s = time.monotonic() + GRACE_S
         while self.running and (left_s := end_s - time.monotonic()) > 0:
             with suppress(queue.Empty):
                 self._take(self.ended.get(timeout=left_s))
@@ -391,8 +317,6 @@ class _Run:
 
     def _tidy(self) -> None:
         """Let remaining workers remove the half-written files of workers that are gone from the same computers."""
-        if not self.engine.address:
-            return
         with suppress(Exception):  # a cluster that is gone cannot be asked
             if self.workers - set(self.client.nthreads()):
                 outputs = [job.output for jobs in self.running.values() for job in jobs] + list(self.results)

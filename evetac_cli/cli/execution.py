@@ -191,11 +191,11 @@ def run_jobs(
     """Run the jobs, several at a time if requested, and fill in the results; one failure does not stop the others."""
     shown = getattr(params, "shown", False)  # a live view prints its own lines
     quiet, force = running.quiet or shown or getattr(params, "listen", False), running.force
-    engine = flags.Engine.parse(running.engine)
+    scheduler = flags.scheduler_of(running.engine)
     exclusive = shown or any(job.exclusive for job in jobs)
-    if exclusive and engine.name != flags.LOCAL:
+    if exclusive and scheduler:
         raise InputError("devices work only on this computer", where="--engine", expected="local", found=running.engine)
-    if engine.address and running.number_of_jobs > 1:
+    if scheduler and running.number_of_jobs > 1:
         hint = "leave out --jobs: the number of workers is that of the running cluster"
         raise InputError("has no effect", where="--jobs", found=f"--engine {running.engine}", hint=hint)
     # An existing output is either up to date or refused. This is quick and needs no worker process.
@@ -203,18 +203,18 @@ def run_jobs(
 
     def run_several(some: list[Job], into: dict[Path, Outcome | EvetacError]) -> None:
         at_once = 1 if exclusive else min(running.number_of_jobs, len(some))
-        if not some or (engine.name == flags.LOCAL and at_once < 2):
+        if not some or (not scheduler and at_once < 2):
             return
-        how = (command.module, largest_first(some), params, force, at_once)
+        how = (command.module, largest_first(some), params, force)
         with console.progress_bar(f"{command.name} {len(some)} files", "files", quiet=quiet) as progress:
-            if engine.name == flags.DASK:
-                from evetac_cli.cli import dask_engine  # loaded only for --engine dask
+            if scheduler:
+                from evetac_cli.cli import dask_engine  # loaded only for a cluster
 
-                dask_engine.run_on_dask(engine, *how, progress, into)
+                dask_engine.run_on_dask(scheduler, *how, progress, into)
             else:
-                workers.run_parallel(*how, progress, into, quiet=quiet)
+                workers.run_parallel(*how, at_once, progress, into, quiet=quiet)
 
-    if engine.name == flags.DASK or running.number_of_jobs > 1:
+    if scheduler or running.number_of_jobs > 1:
         parts = {job.output: stage.parts(job, params) for job in waiting}
         part_results: dict[Path, Outcome | EvetacError] = {}
         run_several([part for some in parts.values() for part in some], part_results)

@@ -20,8 +20,7 @@ from typer.core import TyperCommand, TyperGroup
 from evetac_cli.commands.parameter import RUNNING, Command, flag_of
 from evetac_cli.errors import InputError
 
-LOCAL, DASK = "local", "dask"  # where jobs run: on this computer (workers.py), or on a Dask cluster (dask_engine.py)
-SCHEMES = ("tls://", "tcp://")
+LOCAL = "local"  # jobs run on this computer (workers.py), and not on a Dask cluster (dask_engine.py)
 UNREAD = object()
 WHOLE = re.compile("-?(0|[1-9][0-9]{0,17})")
 DECIMAL = re.compile("-?(0|[1-9][0-9]{0,17})([.][0-9]{1,17})?")
@@ -35,7 +34,7 @@ OF_STAGES: dict[str, tuple[Any, Any, str, str]] = {
         str,
         LOCAL,
         "--engine",
-        "local; dask: a Dask cluster of --jobs processes, or dask:tls://ADDRESS (docs/cluster.md).",
+        "local, or dask:tls://ADDRESS: the workers of a Dask cluster (docs/cluster.md).",
     ),
     "config": (
         Path | None,
@@ -77,21 +76,12 @@ OF_DOCTOR = OF_LOOKING | {
 }
 
 
-@dataclass(frozen=True)
-class Engine:
-    """The value of `--engine`: its name, and the address of an existing Dask scheduler, if given."""
-
-    name: str
-    address: str = ""
-
-    @classmethod
-    def parse(cls, text: str) -> "Engine":
-        """Read `local`, `dask` or `dask:ADDRESS`; InputError for anything else."""
-        name, _, address = text.partition(":")
-        if name not in (LOCAL, DASK) or (text != name and not (name == DASK and address.startswith(SCHEMES))):
-            expected = "local, dask, dask:tls://ADDRESS:PORT or dask:tcp://ADDRESS:PORT"
-            raise InputError("unknown engine", where="--engine", expected=expected, found=text)
-        return cls(name, address)
+def scheduler_of(engine: str) -> str:
+    """Return the address in `dask:ADDRESS`, or "" for `local`; InputError for another value of `--engine`."""
+    if engine != LOCAL and not engine.startswith(("dask:tls://", "dask:tcp://")):
+        expected = "local, dask:tls://ADDRESS:PORT or dask:tcp://ADDRESS:PORT"
+        raise InputError("unknown engine", where="--engine", expected=expected, found=engine)
+    return "" if engine == LOCAL else engine.removeprefix("dask:")
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,11 @@ nothing was tried, because this script may not become other users.
 """
 
 import argparse
-import asyncio
 import json
 import os
 import re
 import signal
 import socket
-import ssl
 import subprocess
 import sys
 import tempfile
@@ -34,12 +32,11 @@ PROGRAMS = {
         "view/*.part/0*.h5",
     ),
     "review": ("label one.recording.h5 --review --by Ada", ""),
-    "cluster": ("record --scene slip --object 1-20 --engine dask --jobs 2 -o dask", "dask/.*obj*.tmp"),
     "grasp": ("grasp --camera virtual --lift-s 20 --balance-s 30 -o b.recording.h5", "b.recording.part/0*.h5"),
 }  # a command, and a file that shows that it runs
 # It takes the address from its arguments, where all users can see it, and keeps running.
 BROWSER = "import sys, time, urllib.request as u; u.urlopen(sys.argv[1]).read(); time.sleep(900)"
-REFUSALS = (b'{"ok": false, "error": "refused', b"HTTP/1.0 403", b"<!DOCTYPE HTML>", b"\x15")  # the last of TLS
+REFUSALS = (b'{"ok": false, "error": "refused', b"HTTP/1.0 403", b"<!DOCTYPE HTML>")
 Row = dict[str, Any]
 
 
@@ -62,17 +59,6 @@ def said_to(port: int, line: bytes) -> bytes:
     return answer
 
 
-async def ask_dask(port: int) -> Any:
-    """Ask a process of Dask who it is, with a certificate of one's own."""
-    from distributed import Security
-    from distributed.core import rpc
-
-    arguments = Security.temporary().get_connection_args("client")
-    arguments["ssl_context"].check_hostname, arguments["ssl_context"].verify_mode = False, ssl.CERT_NONE
-    async with rpc(f"tls://127.0.0.1:{port}", connection_args=arguments, timeout=ANSWER_S) as remote:
-        return await asyncio.wait_for(remote.identity(), ANSWER_S)
-
-
 def ports() -> list[int]:
     """Return the ports on which the owner's programs listen, which all users may see."""
     rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
@@ -92,7 +78,6 @@ def tries(paths: list[Path]) -> Iterator[Row]:
     for port in ports():
         for line in lines:
             yield refused(f"port: {line[:10].decode()}", lambda port=port, line=line: said_to(port, line))
-        yield refused("port: Dask", lambda port=port: asyncio.run(ask_dask(port)))
     for place in processes():
         for address in re.findall(r"http://127[^\0\s]+", (place / "cmdline").read_text()):
             yield refused("process: an address among its arguments", lambda address=address: urlopen(address).read())

@@ -1,6 +1,5 @@
 """Jobs on a Dask cluster: the same arrays as without, and workers that die, join, do not fit or are told to stop."""
 
-import asyncio
 import json
 import os
 import shutil
@@ -20,7 +19,6 @@ import pytest
 
 from evetac_cli.cli import dask_engine, dask_worker, workers
 from evetac_cli.cli.dask_worker import WorkerRefused
-from evetac_cli.cli.flags import Engine
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.jobs import Job, Outcome
 from evetac_cli.resources import PACKAGE
@@ -28,7 +26,6 @@ from tests.cli.test_jobs import lives
 from tests.conftest import Made
 from tests.patience import PATIENCE_S, until
 
-SILENCE_S = 5.0  # after which whoever asks without credentials gets no answer any more
 MADE = Outcome([{"output": "a"}], True)
 # A stage whose jobs do what their names say; the program below loads it, and so does every worker.
 STAGE = """
@@ -57,7 +54,7 @@ import json, sys
 from pathlib import Path
 import standing_stage
 from evetac_cli import interrupts
-from evetac_cli.cli import dask_engine, flags, workers
+from evetac_cli.cli import dask_engine
 from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import Job, silent
 
@@ -67,8 +64,7 @@ if __name__ == "__main__":
     ended = ""
     try:
         jobs = [Job((), Path(name + ".h5")) for name in sys.argv[2:]]
-        engine = flags.Engine.parse(sys.argv[1])
-        dask_engine.run_on_dask(engine, "standing", jobs, None, False, 2, silent, results)
+        dask_engine.run_on_dask(sys.argv[1], "standing", jobs, None, False, silent, results)
     except KeyboardInterrupt:
         ended = "interrupted"
     except (EvetacError, OSError) as error:
@@ -200,70 +196,17 @@ def test_a_job_ends_with_its_command(command: dask_worker.ClusterCommand, monkey
     assert dask_worker.run_task(command, jobs, [(), (), ()]) == [MADE]
 
 
-# --- who may give work ------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def own_cluster() -> Iterator[Any]:
-    """A client of the cluster that `--engine dask` starts, with one worker."""
-    pytest.importorskip("distributed")
-    with dask_engine._client(Engine("dask"), 1) as client:
-        yield client
-
-
-def addresses(client: Any) -> list[str]:
-    """Where scheduler, workers and their nannies listen."""
-    workers = client.scheduler_info()["workers"]
-    return [client.scheduler.address, *workers, *(worker["nanny"] for worker in workers.values())]
-
-
-def test_all_of_the_own_cluster_listens_here_with_credentials(own_cluster: Any) -> None:
-    """Assert that scheduler, worker and nanny use TLS on this computer alone, and that the cluster works."""
-    assert len(addresses(own_cluster)) == 3
-    assert all(address.startswith("tls://127.0.0.1:") for address in addresses(own_cluster))
-    assert own_cluster.submit(os.getpid, pure=False).result() not in (0, os.getpid())
-
-
-@pytest.mark.parametrize("credentials", ["none", "tcp", "of another cluster"])
-def test_no_stranger_gives_work_to_the_own_cluster(own_cluster: Any, credentials: str) -> None:
-    """Assert that neither scheduler nor worker nor nanny take a call of whoever lacks the cluster's certificate."""
-    from distributed import Security
-    from distributed.core import rpc
-
-    security = Security.temporary() if credentials == "of another cluster" else Security()
-
-    async def call(address: str) -> Any:
-        to = address.replace("tls://", "tcp://") if credentials == "tcp" else address
-        arguments = security.get_connection_args("client")
-        async with rpc(to, connection_args=arguments, timeout=SILENCE_S) as remote:
-            return await asyncio.wait_for(remote.identity(), SILENCE_S)
-
-    for address in addresses(own_cluster):
-        with pytest.raises((OSError, TypeError, TimeoutError)):  # TypeError: tls:// without any certificate
-            asyncio.run(call(address))
-
-
-def test_no_cluster_is_started_without_credentials(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert words and a line that installs it where cryptography is missing, before anything is started."""
-    pytest.importorskip("distributed")
-    monkeypatch.setitem(sys.modules, "cryptography", None)
-    with pytest.raises(EvetacError, match="cryptography") as refused, dask_engine._client(Engine("dask"), 1):
-        pytest.fail("started")
-    assert "[cluster]" in refused.value.hint and "--engine dask" in refused.value.where
-
-
 # --- clusters ---------------------------------------------------------------------------------------------------------
 
 
 class Program:
     """The program above at work on an engine."""
 
-    def __init__(self, folder: Path, engine: str, *names: str) -> None:
+    def __init__(self, folder: Path, address: str, *names: str) -> None:
         self.folder = folder
-        (folder / "standing_stage.py").write_text(STAGE)
         (folder / "program.py").write_text(PROGRAM)
         self.process = subprocess.Popen(
-            [sys.executable, str(folder / "program.py"), engine, *names],
+            [sys.executable, str(folder / "program.py"), address, *names],
             cwd=folder,
             env=environment(folder),
             stdout=subprocess.PIPE,
@@ -303,10 +246,44 @@ def started(tmp_path: Path) -> Iterator[list[subprocess.Popen[Any]]]:
         process.communicate()
 
 
-def run(started: list[subprocess.Popen[Any]], folder: Path, engine: str, *names: str) -> Program:
-    program = Program(folder, engine, *names)
-    started.append(program.process)
-    return program
+class Cluster:
+    """A scheduler and its workers; the program's folder, and another folder that all of them import from."""
+
+    def __init__(self, folder: Path, started: list[subprocess.Popen[Any]]) -> None:
+        self.folder, self._started = folder, started
+        self.work, self._other = folder / "work", folder / "other"
+        for each in (self.work, self._other):
+            each.mkdir()
+            (each / "standing_stage.py").write_text(STAGE)
+        (self._other / "of_another_version.py").write_text(
+            "import evetac_cli.cli.dask_worker as e; e.__version__ = '0.0.0'"
+        )
+        self._file = folder / "scheduler.json"
+        self._start("scheduler", "--port", "0")
+        assert until(lambda: self._file.exists() and self._file.read_text())
+        self.address = json.loads(self._file.read_text())["address"]
+
+    def _start(self, what: str, *words: str) -> None:
+        one = [sys.executable, "-m", f"distributed.cli.dask_{what}", "--scheduler-file", str(self._file), *words]
+        quiet: Any = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "start_new_session": True}
+        at = {"cwd": self.folder, "env": environment(self._other)}
+        self._started.append(subprocess.Popen([*one, "--no-dashboard"], **at, **quiet))
+
+    def add_workers(self, number: int, *words: str) -> None:
+        """Start workers of one thread each."""
+        self._start("worker", "--nworkers", str(number), "--nthreads", "1", "--preload", "standing_stage", *words)
+
+    def run(self, *names: str) -> Program:
+        """Start the program with jobs of these names."""
+        program = Program(self.work, self.address, *names)
+        self._started.append(program.process)
+        return program
+
+
+@pytest.fixture
+def cluster(tmp_path: Path, started: list[subprocess.Popen[Any]]) -> Cluster:
+    """A cluster without workers."""
+    return Cluster(tmp_path, started)
 
 
 def left(folder: Path) -> list[str]:
@@ -314,98 +291,54 @@ def left(folder: Path) -> list[str]:
     return [path.name for path in folder.iterdir() if path.name.startswith(".") or path.suffix == ".part"]
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
 @pytest.mark.slow
-def test_a_job_whose_worker_dies_runs_again(tmp_path: Path, started: list[subprocess.Popen[Any]]) -> None:
-    """Assert that one death costs nothing, that the third at the same job is an error that names it, others go on.
+@pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
+def test_a_job_whose_worker_dies_runs_again(cluster: Cluster) -> None:
+    """Assert that one death costs nothing, that many at the same job are an error that names it, others go on.
 
-    Also where short jobs were handed out together.
+    Also where short jobs were handed out together. What a job raises is not taken for a broken connection. Slow: it
+    starts a cluster, whose workers are started again.
     """
+    cluster.add_workers(2)
     others = ["quick-1", "once-1", *(f"quick-{number}" for number in range(2, 20))]
-    reported = run(started, tmp_path, "dask", *others[:15], "killed-1", *others[15:]).ended()
+    reported = cluster.run(*others[:15], "killed-1", *others[15:]).ended()
     assert reported["ended"] == ""
     assert {name for name, result in reported["jobs"].items() if result == "made"} == set(others)
-    assert "killed-1.h5" in reported["jobs"]["killed-1"] and "3 workers died" in reported["jobs"]["killed-1"]
-    assert len((tmp_path / "once-1.pids").read_text().split()) >= 2
-    assert [name for name in left(tmp_path) if "killed" in name or "runs" in name] == []
-
-
-@pytest.mark.slow
-def test_an_error_of_the_system_stays_what_it_is(tmp_path: Path, started: list[subprocess.Popen[Any]]) -> None:
-    """Assert that what a job raises is not taken for a broken connection."""
-    assert "No space left on device" in run(started, tmp_path, "dask", "full-1").ended()["ended"]
+    assert "killed-1.h5" in reported["jobs"]["killed-1"] and "4 workers died" in reported["jobs"]["killed-1"]
+    assert len((cluster.work / "once-1.pids").read_text().split()) >= 2
+    assert [name for name in left(cluster.work) if "killed" in name or "runs" in name] == []
+    assert "No space left on device" in cluster.run("full-1").ended()["ended"]
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
-def test_ctrl_c_of_a_terminal_stops_all(tmp_path: Path, started: list[subprocess.Popen[Any]]) -> None:
-    """Assert that Ctrl-C, which reaches workers too, ends all of them in order and keeps what is finished."""
-    program = run(started, tmp_path, "dask", "quick-1", "long-1", "long-2", "long-3")
-    processes = program.started("long-1", "long-2")
-    os.killpg(program.process.pid, signal.SIGINT)
-    reported = program.ended()
-    assert (reported["ended"], reported["jobs"]) == ("interrupted", {"quick-1": "made"})
-    assert "Traceback" not in reported["said"]
-    assert until(lambda: not any(map(lives, processes)))
-    assert not (tmp_path / "long-3.pids").exists()
-    assert left(tmp_path) == []
+def test_workers_join_do_not_fit_and_are_told_to_stop(cluster: Cluster) -> None:
+    """Assert that workers are waited for, that one of another version is left out, and that Ctrl-C keeps what is made.
 
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
-def test_workers_end_with_a_command_that_is_killed(tmp_path: Path, started: list[subprocess.Popen[Any]]) -> None:
-    """Assert that kill -9 of the command leaves no worker, and that the next command removes what it left."""
-    program = run(started, tmp_path, "dask", "long-1", "long-2")
-    processes = program.started("long-1", "long-2")
-    program.process.kill()
-    assert until(lambda: not any(map(lives, processes)))
-    assert any("runs" in name for name in left(tmp_path))
-    program.process.communicate()
-    assert run(started, tmp_path, "dask", "quick-1").ended()["jobs"] == {"quick-1": "made"}
-    assert left(tmp_path) == []
-
-
-@pytest.mark.slow
-def test_a_cluster_that_runs_already(tmp_path: Path, started: list[subprocess.Popen[Any]]) -> None:
-    """Assert that it is waited for its workers, that one of another version is left out, that one may join or die."""
-    scheduler = tmp_path / "scheduler.json"
-    work, other = tmp_path / "work", tmp_path / "other"
-    for folder in (work, other):
-        folder.mkdir()
-        (folder / "standing_stage.py").write_text(STAGE)
-    (other / "of_another_version.py").write_text("import evetac_cli.cli.dask_worker as e; e.__version__ = '0.0.0'")
-
-    def start(what: str, *words: str) -> subprocess.Popen[Any]:
-        one = [sys.executable, "-m", f"distributed.cli.dask_{what}", "--scheduler-file", str(scheduler), *words]
-        quiet: Any = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "start_new_session": True}
-        process = subprocess.Popen([*one, "--no-dashboard"], cwd=tmp_path, env=environment(other), **quiet)
-        started.append(process)
-        return process
-
-    start("scheduler", "--port", "0")
-    assert until(lambda: scheduler.exists() and scheduler.read_text())
-    engine = f"dask:{json.loads(scheduler.read_text())['address']}"
-    first = run(started, work, engine, "quick-1", "once-1", "quick-2")
-    worker = ("worker", "--nthreads", "1", "--preload", "standing_stage")
-    start(*worker, "--preload", "of_another_version")
-    refused = first.process.poll()
-    assert refused is None  # it waits for workers
+    Slow: it starts a cluster.
+    """
+    first = cluster.run("quick-1", "once-1", "quick-2")
+    cluster.add_workers(1, "--preload", "of_another_version")
+    assert first.process.poll() is None  # it waits for workers
     reported = first.ended()
     assert "no worker of the cluster can be used" in reported["ended"] and "has evetac 0.0.0" in reported["ended"]
-    start(*worker)
+    cluster.add_workers(1)
     deadline_s = time.monotonic() + PATIENCE_S
     while True:  # until the second worker has joined
-        reported = run(started, work, engine, "quick-1", "once-1", "quick-2").ended()
+        reported = cluster.run("quick-1", "once-1", "quick-2").ended()
         if not reported["ended"] or time.monotonic() > deadline_s:
             break
     assert (reported["ended"], set(reported["jobs"].values())) == ("", {"made"})
     assert "left out: the worker" in reported["said"]
-    last = run(started, work, engine, "long-1")
+    last = cluster.run("quick-3", "long-1", "long-2")
     (process,) = last.started("long-1")
-    os.kill(last.process.pid, signal.SIGINT)
-    assert last.ended()["ended"] == "interrupted"
+    os.killpg(last.process.pid, signal.SIGINT)
+    reported = last.ended()
+    assert (reported["ended"], reported["jobs"]) == ("interrupted", {"quick-3": "made"})
+    assert "Traceback" not in reported["said"]
     assert lives(process)  # it is the cluster's
-    assert left(work) == []
+    assert not (cluster.work / "long-2.pids").exists()
+    assert left(cluster.work) == []
 
 
 def arrays(path: Path) -> dict[str, Any]:
@@ -418,16 +351,16 @@ def arrays(path: Path) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_both_engines_make_the_same_arrays(made: Made, tmp_path: Path) -> None:
+def test_both_engines_make_the_same_arrays(made: Made, cluster: Cluster, tmp_path: Path) -> None:
     """Assert that tracks of two engines, paths and rows included, are the same."""
-    pytest.importorskip("distributed")
+    cluster.add_workers(2)
     rows = []
-    for engine in ("local", "dask"):
-        folder = tmp_path / engine
+    for name, how in (("local", ("--jobs", "2")), ("dask", ("--engine", f"dask:{cluster.address}"))):
+        folder = tmp_path / name
         folder.mkdir()
         for path in made.recordings[:2]:
             shutil.copy(path, folder)
-        words = ["track", *sorted(path.name for path in folder.iterdir()), "--jobs", "2", "--json", "--engine", engine]
+        words = ["track", *sorted(path.name for path in folder.iterdir()), "--json", *how]
         done = subprocess.run(
             [sys.executable, "-m", "evetac_cli", *words],
             cwd=folder,

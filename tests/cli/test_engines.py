@@ -5,19 +5,30 @@ from pathlib import Path
 import pytest
 
 from evetac_cli.cli import execution
-from evetac_cli.cli.flags import Engine
+from evetac_cli.cli.flags import scheduler_of
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job
 
 
 @pytest.mark.parametrize(
     "text",
-    ["", "Dask", "dask:", "local:tcp://a:1", "dask:8786", "ray", "tcp://a:1", "dask:http://a:1", "dask:inproc://1"],
+    [
+        "",
+        "Dask",
+        "dask",
+        "dask:",
+        "local:tcp://a:1",
+        "dask:8786",
+        "ray",
+        "tcp://a:1",
+        "dask:http://a:1",
+        "dask:inproc://1",
+    ],
 )
 def test_other_engines_are_refused(text: str) -> None:
     """Assert that whatever names no engine is refused with what does."""
-    with pytest.raises(InputError, match="local, dask"):
-        Engine.parse(text)
+    with pytest.raises(InputError, match="unknown engine"):
+        scheduler_of(text)
 
 
 def test_large_files_first(tmp_path: Path) -> None:

@@ -60,7 +60,7 @@ SERVES = {
     "camera": "--camera dv",
     "convert": "AEDAT4, bags, Prophesee's files, tables, LeRobot",
     "plot": "pictures of reports, pages",
-    "cluster": "--engine dask",
+    "cluster": "--engine dask:ADDRESS",
     "robot": "evetac_cli.gym, examples",
 }
 
