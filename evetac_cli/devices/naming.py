@@ -78,8 +78,6 @@ CAMERA_FAULTS: Mapping[str, FaultKind] = {
     "random": FaultKind("every word is replaced by random bits", usual_s=0.1),
     "jump-forward": FaultKind("the camera's clock jumps ahead by 5 s", duration=False),
     "jump-back": FaultKind("the camera's clock jumps back by 5 s", duration=False),
-    "fast": FaultKind("the camera's clock runs ten times too fast"),
-    "slow": FaultKind("the camera's clock runs ten times too slowly"),
     "silence": FaultKind("the camera sends nothing, and its events are lost", usual_s=0.1),
     "log": FaultKind("the camera reports `sensor fault` on its debug endpoint"),
     "no-permission": FaultKind("the system refuses to open the camera", **_BEFORE),

@@ -41,8 +41,6 @@ ATTACKS = (
     Attack("lost-timestamps@0.5:0.5", False),
     Attack("jump-forward@0.5", True),
     Attack("jump-back@0.5", True),
-    Attack("fast@0.2", True),
-    Attack("slow@0.2", True),
     Attack("silence@0:600", False),
     Attack("silence@0.5:0.3", False),
     Attack("silence@0.5:600", False),

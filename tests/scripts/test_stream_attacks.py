@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts" / "attack
 from stream_attacks import ATTACKS, Attack, Ending, attack
 
 EVENTS_S = 100_000
-QUICK = ("random@0:600", "torn@0.5", "jump-forward@0.5", "jump-back@0.5", "fast@0.2", "slow@0.2", "silence@0.5:0.3")
+QUICK = ("random@0:600", "torn@0.5", "jump-forward@0.5", "jump-back@0.5", "silence@0.5:0.3")
 
 
 @pytest.mark.parametrize(

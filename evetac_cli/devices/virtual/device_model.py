@@ -13,19 +13,17 @@ from evetac_cli.devices.dvxplorer import protocol
 from evetac_cli.devices.dvxplorer.event_word_loops import REF_MASK, events_in
 from evetac_cli.devices.dvxplorer.protocol import Generation
 from evetac_cli.devices.naming import CAMERA_FAULTS, camera_fault
-from evetac_cli.events import FRAME_PX, SLICE_US
+from evetac_cli.events import FRAME_PX
 from evetac_cli.realtime.shared_time import TimeSource
 
 DEFAULT_FLUSH_US = 2000
 _DAMAGED_SHARE = {"damage": 0.02, "random": 1.0}
-_JUMP_US = {"jump-forward": 5_000_000, "jump-back": -5_000_000}
-_RATE = {"fast": (10, 1), "slow": (1, 10)}  # rate of the camera's clock, as a fraction
+_JUMP_MS = {"jump-forward": 5000, "jump-back": -5000}
 _TORN_BYTES = 3
 _BURST_BYTES = 16  # transfers are padded with zeros to a multiple of this
 _LONGEST_WAIT_S = 0.05  # interval at which a waiting transfer checks whether the camera was unplugged
 _SHORTEST_WAIT_S = 1e-6
-_COLUMN_CODE, _TIMESTAMP_CODE = 1, 2  # bits 26 and up of a word
-_US_BITS = 0x3FF << 11  # the microseconds in a COLUMN word
+_TIMESTAMP_CODE = 2  # bits 26 and up of a word
 
 
 class WordSource(Protocol):
@@ -57,7 +55,7 @@ class DeviceModel:
         self._registers = _registers(self.generation)
         self._fifo = bytearray()
         self._fifo_bytes = fifo_bytes
-        self._clock = CameraClock()
+        self._ahead_ms = 0  # how far its clock has jumped
         self._part = b""  # bytes of a word that the source has not sent completely
         self._ran_s: float | None = None  # time of the first RUN
         self._runs = False
@@ -183,7 +181,8 @@ class DeviceModel:
             self.events_seen += events_in(words)
             self._keep(data[:whole])
             return True
-        words = self._retimed(words)
+        self._ahead_ms += sum(jump for name, jump in _JUMP_MS.items() if self.once(name))
+        words = shifted(words, self._ahead_ms)
         self.events_seen += events_in(words)
         if self._hits("silence"):
             return True
@@ -209,50 +208,11 @@ class DeviceModel:
         lasting = any(each.name == "torn" and each.duration_s for each in self._faults)
         return self._hits("torn") if lasting else self.once("torn")
 
-    def _retimed(self, words: NDArray[np.uint32]) -> NDArray[np.uint32]:
-        """Return the words with the times of a clock that jumps or runs at another rate."""
-        if not any(each.name in (*_JUMP_US, *_RATE) for each in self._faults):
-            return words
-        jump_us = sum(jump for name, jump in _JUMP_US.items() if self.once(name))
-        rate = next((rate for name, rate in _RATE.items() if self.has(name)), (1, 1))
-        return self._clock.retimed(words, rate, jump_us)
 
-
-class CameraClock:
-    """A camera's clock that may jump or run at another rate: the same event words at other times."""
-
-    def __init__(self) -> None:
-        self._ms = 0  # ms of the last TIMESTAMP received
-        self._true_us = 0  # words up to this time were retimed
-        self._shown_us = 0  # what the clock showed at that time
-        self._sent_ms = 0  # ms of the last TIMESTAMP sent
-
-    def retimed(self, words: NDArray[np.uint32], rate: tuple[int, int], jump_us: int) -> NDArray[np.uint32]:
-        """Return the next words with the clock's times; a TIMESTAMP is added if a frame begins in another millisecond.
-
-        rate: of the clock, as numerator and denominator; jump_us: jump before these words.
-        """
-        if len(words) == 0:
-            return words
-        is_stamp, is_column = words >> 26 == _TIMESTAMP_CODE, words >> 26 == _COLUMN_CODE
-        # 0: a TIMESTAMP of an earlier call
-        latest = np.maximum.accumulate(np.where(is_stamp, np.arange(1, len(words) + 1), 0))
-        ms = np.concatenate([[self._ms], (words & REF_MASK).astype(np.int64)])[latest]
-        true_us = SLICE_US * ms + np.where(is_column, words >> 11 & 0x3FF, 0)
-        shown_us = self._shown_us + jump_us + (true_us - self._true_us) * rate[0] // rate[1]
-        last = int(np.argmax(true_us))
-        self._ms, self._true_us, self._shown_us = int(ms[-1]), int(true_us[last]), int(shown_us[last])
-        stamps = (_TIMESTAMP_CODE << 26 | shown_us // SLICE_US & REF_MASK).astype(np.uint32)
-        columns = words & ~np.uint32(_US_BITS) | (shown_us % SLICE_US << 11).astype(np.uint32)
-        retimed = np.where(is_stamp, stamps, np.where(is_column, columns, words))
-        begins = is_stamp | (words >> 21 == (_COLUMN_CODE << 26 | 1 << 21) >> 21)
-        places = np.flatnonzero(begins)
-        if len(places) == 0:
-            return retimed
-        begun_ms = shown_us[places] // SLICE_US
-        missing = (begun_ms != np.concatenate([[self._sent_ms], begun_ms[:-1]])) & ~is_stamp[places]
-        self._sent_ms = int(begun_ms[-1])
-        return np.insert(retimed, places[missing], stamps[places[missing]])
+def shifted(words: NDArray[np.uint32], ahead_ms: int) -> NDArray[np.uint32]:
+    """Return the words of a clock that is ahead by some ms, below 0 behind: its TIMESTAMPs wrap as the camera's do."""
+    stamps = words + np.uint32(ahead_ms & REF_MASK) & REF_MASK | _TIMESTAMP_CODE << 26
+    return np.where(words >> 26 == _TIMESTAMP_CODE, stamps, words).astype(np.uint32)
 
 
 def _registers(generation: Generation) -> dict[tuple[int, int], int]:
