@@ -19,8 +19,8 @@ from evetac_cli.store.calibration import Calibration
 
 MOST_MISSING = 0.25  # share of the dots; with more missing, a part of the gel was not pressed
 MANY_MISSING = f"more than {MOST_MISSING:.0%} of them are missing"
-LEAST_ON_GRID = 0.9  # share of dots in rows and columns with which dots count as a grid
 SIZES = {"closed": (ROWS, CLOSED_COLUMNS), "cut": (ROWS, CUT_COLUMNS)}
+CLOSED = "--gel closed if there is no window, or if dots are worn"
 REFINE = "--refine takes the missing dots from a default grid"
 IRREGULAR = "--irregular accepts dots that form no grid"
 PRESS = "press on the whole gel, and lift off between strokes"
@@ -122,27 +122,13 @@ def notes(calibration: Calibration, left_out: int) -> list[str]:
     dots = calibration.dot_xy_px
     lines = [f"positions left out, because they are not on the grid: {left_out}"] if left_out else []
     lines += [gel_layout.mounting(dots, calibration.frame_px, calibration.window_px)]
-    if len(dots) == 1:
-        lines.append(_as_a_grid(dots[0]))
-    else:
+    if len(dots) > 1:
         missing = np.isnan(dots[..., 0])
         gone = [f"row {index + 1}" for index in np.flatnonzero(missing.all(axis=1))]
         gone += [f"column {index + 1}" for index in np.flatnonzero(missing.all(axis=0))]
         if gone:
             lines.append(f"no dot was found in {', '.join(gone)}: worn, or not pressed?")
     return [note for note in lines if note]
-
-
-def _as_a_grid(places_px: Grid) -> str:
-    try:
-        rows, columns = (dots := grid.lattice(places_px)).shape[:2]
-    except ValueError:
-        return ""
-    if np.isfinite(dots[..., 0]).sum() < LEAST_ON_GRID * len(places_px):
-        return ""
-    return (
-        f"these dots form {rows} rows and {columns} columns: with --rows and --columns, networks of dots can use them"
-    )
 
 
 def _window(dots: Grid, gel: str | None, seen: FoundDots) -> Window | None:
@@ -169,28 +155,14 @@ def _many_missing(dots: Grid) -> bool:
 
 def _which_gel(dots: Grid, seen: FoundDots) -> InputError:
     """Return the error for dots that are not those of a closed Evetac, if nothing states which gel it is."""
-    rows, columns = shape = dots.shape[:2]
-    as_it_is = f"--rows {rows} --columns {columns}"
-    if shape == SIZES["cut"]:
+    if dots.shape[:2] == SIZES["cut"]:
         with suppress(ValueError):
             return _space_on_one_side(dots, *gel_layout.window(dots, seen.radius_px, seen.frame_px), seen)
-    if shape == SIZES["closed"]:
-        why = f"there is space for more dots: {', '.join(gel_layout.free_sides(dots, seen.frame_px))}"
-        return _refused(dots, seen, why, _sizes(), f"{as_it_is} --gel closed if the gel has no more dots")
-    if shape[::-1] in SIZES.values():
-        return _turned(dots, seen)
-    worn = "--gel closed if the missing dots are worn" if rows <= ROWS and columns <= CLOSED_COLUMNS else ""
+    expected = f"{ROWS} rows and {CLOSED_COLUMNS} columns, or {CUT_COLUMNS} next to the window of a cut gel"
     why = "these dots are not the whole grid of an Evetac"
-    return _refused(dots, seen, why, _sizes(), seen.remedy, worn, f"{as_it_is} if the gel has no more dots", REFINE)
-
-
-def _turned(dots: Grid, seen: FoundDots) -> InputError:
-    """Return the error for dots with the rows and columns of an Evetac exchanged."""
-    rows, columns = dots.shape[:2]
-    closed = (columns, rows) == SIZES["closed"]
-    hint = f"--rows {rows} --columns {columns} --gel {'closed' if closed else 'cut'} accepts them as they are"
-    another = "" if closed else f"--rows {rows + 1} --columns {columns} --gel closed if a row is not visible"
-    return _refused(dots, seen, "the dots of an Evetac that is turned by 90 degrees", _sizes(), hint, another)
+    if dots.shape[:2] == SIZES["closed"]:
+        why = f"there is space for more dots: {', '.join(gel_layout.free_sides(dots, seen.frame_px))}"
+    return _another_gel(dots, seen, why, expected)
 
 
 def _space_on_one_side(dots: Grid, side: str, window: Window, seen: FoundDots) -> InputError:
@@ -199,39 +171,26 @@ def _space_on_one_side(dots: Grid, side: str, window: Window, seen: FoundDots) -
     why = f"is the gel cut, or is a {what} of dots not visible? There is space for either at the {side}"
     place = " ".join(map(str, window))
     expected = f"--gel cut for a window there (window_px {place}), --gel closed for a missing {what}"
-    pressed = f"if the {what} was not pressed: {seen.remedy}" if seen.remedy else ""
-    return _refused(dots, seen, why, expected, "--gel cut or --gel closed", pressed)
+    return InputError(why, where=seen.where, expected=expected, found=_in_words(dots), hint=seen.remedy)
 
 
 def _another_size(dots: Grid, size: tuple[int, int], gel: str | None, seen: FoundDots, why: str = "") -> InputError:
     """Return the error for a grid that differs from the stated or assumed one."""
-    shape = rows, columns = dots.shape[:2]
-    if size in SIZES.values() and shape == size[::-1]:
-        return _turned(dots, seen)
-    if shape == size:
-        hint = REFINE
-    elif gel == "cut" and shape == SIZES["closed"]:
-        hint = "--gel closed if there is no window"
-    else:
-        hint = f"--rows {rows} --columns {columns}{f' --gel {gel}' if gel else ''} if the gel has no more dots"
-    lacks = rows < size[0] or columns < size[1] or _many_missing(dots)
     expected = f"{size[0]} rows and {size[1]} columns" + (f" of a {gel} gel" if gel else "")
-    why = f"these are not the dots of the gel{f': {why}' if why else ''}"
-    return _refused(dots, seen, why, expected, seen.remedy if lacks else "", hint)
+    return _another_gel(dots, seen, f"these are not the dots of the gel{f': {why}' if why else ''}", expected, gel)
 
 
-def _refused(dots: Grid, seen: FoundDots, why: str, expected: str, *hints: str) -> InputError:
-    hint = "; ".join(filter(None, hints))
+def _another_gel(dots: Grid, seen: FoundDots, why: str, expected: str, gel: str | None = None) -> InputError:
+    """Return the error for dots that are not those expected, with all that may help."""
+    rows, columns = dots.shape[:2]
+    as_it_is = f"--rows {rows} --columns {columns}{f' --gel {gel}' if gel else ''} if the gel has no more dots"
+    hint = "; ".join(filter(None, (seen.remedy, as_it_is, CLOSED, REFINE)))
     return InputError(why, where=seen.where, expected=expected, found=_in_words(dots), hint=hint)
 
 
 def _too_many(where: str, count: int) -> InputError:
     expected = f"at most {grid.MOST_DOTS}, the limit of the tracker"
     return InputError("too many dots", where=where, expected=expected, found=str(count))
-
-
-def _sizes() -> str:
-    return f"{ROWS} rows and {CLOSED_COLUMNS} columns, or {CUT_COLUMNS} next to the window of a cut gel"
 
 
 def _in_words(dots: Grid) -> str:

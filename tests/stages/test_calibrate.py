@@ -22,7 +22,7 @@ from evetac_cli.kernels.calibration.rest_image import RestImage
 from evetac_cli.resources import SCENES
 from evetac_cli.sim.camera import gel_camera
 from evetac_cli.sim.setup.plan import one_sensor
-from evetac_cli.stages import calibrate, calibrated_gel, featurize, gel_at_rest, track
+from evetac_cli.stages import calibrate, featurize, gel_at_rest, track
 from evetac_cli.store.calibration import read_calibration
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
@@ -149,9 +149,7 @@ def test_again_and_otherwise(seen: Show, tmp_path: Path) -> None:
 def test_cut_gel(seen: Show, truth: Grid) -> None:
     """Assert that a gel without its last column is cut, with its window, or closed, as it is said; else it is asked."""
     path = seen(X < 520)
-    with pytest.raises(
-        InputError, match=r"is the gel cut(.|\n)*window_px 540 0 640 480(.|\n)*--gel cut or --gel closed"
-    ):
+    with pytest.raises(InputError, match=r"is the gel cut(.|\n)*window_px 540 0 640 480"):
         calibrated(path)
     row, made = calibrated(path, gel="cut")
     assert (row["dots"], row["columns"], row["gel"], row["window_px"]) == (56, 8, "cut", "540 0 640 480")
@@ -235,10 +233,10 @@ def test_a_sensor_that_is_mounted_otherwise(
     path = recorded(tmp_path / "mounted.recording.h5", empty(), frame_px)
     size = {"gel": "cut"} if cut else {}
     if frame_px[0] < frame_px[1]:
-        with pytest.raises(InputError, match="an Evetac that is turned by 90 degrees") as refused:
+        with pytest.raises(InputError, match="these (dots are not the whole grid|are not the dots)") as refused:
             calibrated(path, **size)
         size |= {"rows": 8 if cut else 9, "columns": 7, "gel": "cut" if cut else "closed"}
-        assert f"--rows {size['rows']} --columns 7 --gel {size['gel']}" in refused.value.hint
+        assert f"--rows {size['rows']} --columns 7" in refused.value.hint
     elif cut:
         with pytest.raises(InputError, match=f"is the gel cut(.|\n)*window_px {window}"):
             calibrated(path)
@@ -272,7 +270,6 @@ def test_the_size_that_is_said(seen: Show, truth: Grid) -> None:
         assert f"{rows} rows and {columns} columns" in refused.value.expected
         assert "7 rows and 4 columns, 0 dots missing" in refused.value.found
         assert "--rows 7 --columns 4 --gel closed" in refused.value.hint
-        assert (calibrated_gel.PRESS in refused.value.hint) == (rows > 7 or columns > 4)
     assert not made.exists()
 
 
@@ -377,7 +374,7 @@ def test_larger_frame(
     larger = tuple(RestImage(*(np.pad(side, ((60, 60), (80, 80))) for side in half)) for half in halves)
     monkeypatch.setattr(gel_at_rest, "rest_images", lambda recording, progress: larger)
     path = recorded(tmp_path / "large.recording.h5", empty(), (800, 600))
-    with pytest.raises(InputError, match=r"space for more dots(.|\n)*--rows 7 --columns 9 --gel closed"):
+    with pytest.raises(InputError, match=r"space for more dots(.|\n)*--rows 7 --columns 9"):
         calibrated(path)
     row, made = calibrated(path, rows=7, columns=9, gel="closed")
     assert (row["dots"], row["missing_dots"], row["notes"]) == (63, 0, None)
