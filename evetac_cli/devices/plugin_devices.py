@@ -9,6 +9,7 @@ are not wrapped.
 import json
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -132,7 +133,6 @@ class _Maker:
         """check: the function of evetac_cli.testing with the same checks."""
         self._group, self._name, self._check = group, name, check
         self._counts: Mapping[str, int] = {}
-        self._fault: DeviceError | None = None
 
     def fault(self, does: str, expected: str, found: str) -> DeviceError:
         """Return the error that the plug-in breaks its contract; does: a verb, and what it concerns."""
@@ -158,20 +158,11 @@ class _Maker:
             raise self.fault(does, expected, fault)
 
     def counted(self, device: EventCamera | Gripper) -> Mapping[str, int]:
-        """Return the last valid losses: they are also asked for at the end, so an error waits for `raise_fault`."""
-        try:
-            counts = self.ask("counted", lambda: dict(device.counted))
-            self.require(counts_fault(counts), "reports invalid losses", "whole numbers by name")
-            self._counts = counts
-        except DeviceError as error:
-            self._fault = error
+        """Return the last valid losses; they are also asked for at the end, after an error."""
+        with suppress(Exception):  # third-party code may raise anything
+            counts = dict(device.counted)
+            self._counts = self._counts if counts_fault(counts) else counts
         return self._counts
-
-    def raise_fault(self) -> None:
-        """Raise the error of invalid losses, once."""
-        fault, self._fault = self._fault, None
-        if fault is not None:
-            raise fault
 
 
 class CheckedCamera:
@@ -216,7 +207,8 @@ class CheckedCamera:
             raise self._maker.fault(f"returned an invalid slice {self._slices}", expected, fault)
         self._slices += 1
         if self._slices % CLOCK_SLICES == 0:
-            self._maker.raise_fault()
+            fault = self._maker.ask("counted", lambda: counts_fault(self._camera.counted))
+            self._maker.require(fault, "reports invalid losses", "whole numbers by name")
             fault = self._maker.ask("now_us", clock_fault, self._camera, self._slices, self._now_us)
             self._maker.require(fault, "has an invalid clock", "slices in real time, and device time that passes")
         return events
@@ -226,7 +218,6 @@ class CheckedCamera:
         if self._is_open:
             self._is_open = False
             self._maker.ask("close", self._camera.close)
-            self._maker.raise_fault()
 
 
 class CheckedGripper:
@@ -257,7 +248,6 @@ class CheckedGripper:
         reading = self._maker.ask("read", self._gripper.read)
         expected = "a finite current in mA, and a position of {} to {} ticks".format(*POSITIONS_TICKS)
         self._maker.require(reading_fault(reading), "returned an invalid reading", expected)
-        self._maker.raise_fault()
         return reading
 
     def write_current(self, current_ma: int) -> None:

@@ -315,7 +315,6 @@ def decode(
 _MS_SHIFT = 30
 _US_HIGH, _COLUMN_LOW, _GROUP_LOW = 20, 10, 4
 _COLUMN_HIGH, _GROUP_HIGH, _US_LOW = 20, 14, 4
-LONGEST_MS = 1 << 32
 
 
 @njit(cache=True)
