@@ -15,9 +15,9 @@ from evetac_cli.sim.setup import solver as scene_solver
 from evetac_cli.trials import grasp, record
 from evetac_cli.trials import trial as trials
 from evetac_cli.trials.grasp.settings import DeviceGrasp, ReplayGrasp, SimulatedGrasp
+from evetac_cli.trials.record import Preview
 from evetac_cli.trials.record.capture_plan import DeviceRecording
 from evetac_cli.trials.record.imported import ImportJob
-from evetac_cli.trials.record.preview import Preview
 from evetac_cli.trials.trial import SimulatedTrial, device_trials
 from tests.conftest import Made
 

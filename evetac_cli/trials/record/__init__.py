@@ -1,41 +1,78 @@
 """record: write the events of one trial to a file, from a simulated scene, from devices or from a foreign event file.
 
 Each of the three sources is a type of job with its own module: SimulatedTrial (simulated.py), DeviceRecording
-(capture.py) and ImportJob (imported.py). With --preview, a Preview (preview.py) shows the camera's view, and nothing is
-written. With --listen, a robot's program starts trials of the second type, any number of them (trials/listen).
+(capture.py) and ImportJob (imported.py). With --preview, the job is a Preview: the camera's view is shown, and nothing
+is written. With --listen, a robot's program starts trials of the second type, any number of them (trials/listen).
 """
 
+import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from evetac_cli.commands.parameter import refuse_unused
 from evetac_cli.commands.record import Record
+from evetac_cli.devices import Rig, losses
 from evetac_cli.devices import cameras as named_cameras
 from evetac_cli.devices import grippers as named_grippers
-from evetac_cli.devices.cameras import NamedCamera
-from evetac_cli.devices.grippers import NamedGripper
+from evetac_cli.devices.cameras import CameraSettings, NamedCamera
+from evetac_cli.devices.grippers import NamedGripper, NoGripper
 from evetac_cli.devices.kept_camera import KeptCamera
-from evetac_cli.devices.opening import require_arm
+from evetac_cli.devices.opening import open_rig, require_arm
 from evetac_cli.errors import InputError
+from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.formats.read.bags.bag_files import is_bag_folder
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
 from evetac_cli.names import Capability
+from evetac_cli.store.calibration import Calibration, read_calibration
 from evetac_cli.store.files import output_path, up_to_date
 from evetac_cli.store.recordings import slip_grid
-from evetac_cli.trials import part_costs
+from evetac_cli.trials import live_view, part_costs
 from evetac_cli.trials.listen import Listening, listen, listening
-from evetac_cli.trials.record import capture, capture_plan, imported, preview, simulated
-from evetac_cli.trials.record.capture_plan import DeviceRecording
+from evetac_cli.trials.live_view import LiveView
+from evetac_cli.trials.record import capture, capture_plan, imported, simulated
+from evetac_cli.trials.record.capture_plan import DeviceRecording, camera_settings
 from evetac_cli.trials.record.imported import ImportJob
-from evetac_cli.trials.record.preview import Preview
-from evetac_cli.trials.trial import DETAILS, SimulatedTrial, device_trials, for_people, simulated_trials
+from evetac_cli.trials.trial import DETAILS, SimulatedTrial, Trial, device_trials, for_people, simulated_trials
 from evetac_cli.trials.trial import OUTPUT as OUTPUT
 
 METHOD = simulated.METHOD
 WATCHDOG_STEP_MS = 20  # unit of the register Bus Watchdog
 LONGEST_S = 3600.0  # limit for a trial that a robot's program started and does not stop; --seconds sets another
 SCENE_KINDS = ("ramp", "hold", "press", "rub", "tone")  # lift scenes are for `grasp`
+NEWS_SLICES = 100  # number of slices of a preview after which losses are checked
+
+
+@dataclass(frozen=True)
+class Preview(Trial):
+    """A trial whose camera is shown for some seconds, or if they are None until its stream ends."""
+
+    exclusive = True
+    camera: NamedCamera
+    settings: CameraSettings
+    calibration: Calibration | None
+    seconds: float | None
+
+    @classmethod
+    def of(cls, trial: Trial, camera: NamedCamera, params: Record) -> "Preview":
+        """Return a preview with the settings of the flags.
+
+        InputError for a calibration that does not fit the camera.
+        """
+        calibration = None
+        if params.calibration is not None:
+            calibration = read_calibration(params.calibration, camera.frame_px())
+        return cls(
+            *(trial.inputs, trial.output, trial.number, trial.seed, trial.plan),
+            *(camera, camera_settings(params), calibration, params.seconds),
+            view=trial.view,
+        )
+
+    @property
+    def shows_simulation(self) -> bool:
+        """Whether the camera shows a simulation, or a recording of one."""
+        return self.camera.shows_simulation()
 
 
 def jobs(files: list[Path], params: Record, out: Path | None) -> Sequence[Job]:
@@ -135,7 +172,7 @@ def run(job: Job, params: Record, *, force: bool = False, progress: Progress = s
     """Record one trial, or import one file; with --preview, only show the camera of the trial."""
     match job:
         case Preview():
-            return preview.run(job)
+            return _show(job)
         case SimulatedTrial():
             return simulated.run(job, force=force, progress=progress)
         case DeviceRecording():
@@ -145,6 +182,51 @@ def run(job: Job, params: Record, *, force: bool = False, progress: Progress = s
         case ImportJob():
             return imported.run(job, params, force=force, progress=progress)
     raise TypeError(f"record has no {type(job).__name__}")
+
+
+def _show(trial: Preview) -> Outcome:
+    """Show the camera until the seconds are over, its stream ends, or Ctrl-C."""
+    camera = trial.camera
+    with live_view.opened(trial, f"preview of {camera}", moves=False) as view:
+        assert view is not None
+        rig = open_rig(camera, NoGripper(), trial.settings, trial.plan, trial.seeds())
+        try:
+            sensor = rig.known_sensor()
+            if trial.calibration is not None:
+                sensor |= trial.calibration.recorded()
+            view.begin(sensor)
+            most = round(SLICES_PER_S * trial.seconds) if trial.seconds is not None else None
+            row = _watch(rig, view, most, paced=camera.has(Capability.STEPPED))
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt("stopped; nothing was written") from None
+        finally:
+            rig.close()
+    row = {"camera": str(camera), **row}
+    return Outcome([row], rig.simulated or any(parent["simulated"] for parent in rig.parents), {"shown": 1})
+
+
+def _watch(rig: Rig, view: LiveView, most: int | None, *, paced: bool) -> dict[str, Any]:
+    """Read and show slices; `paced` holds a simulation back to real time."""
+    slices = total = 0
+    began_s = time.monotonic()
+    camera = rig.camera
+    while slices != most and (events := camera.read()) is not None:
+        slices += 1
+        total += events.size
+        view.add_slice(events, camera.time.now_s() * 1e6 - camera.host_us(slices * SLICE_US))
+        if paced:
+            time.sleep(max(0.0, began_s + slices * 1e-3 - time.monotonic()))
+        if slices % NEWS_SLICES == 0:
+            view.lost(rig.counted())
+    passed_s = time.monotonic() - began_s
+    return {
+        "slices": slices,
+        "events": total,
+        "events_per_s": total / (slices * 1e-3) if slices else None,
+        "slices_per_s": slices / passed_s,
+        "lost": losses.events_lost(rig.counted()),
+        "lost_why": losses.reasons(rig.counted()),
+    }
 
 
 STAGE = Stage(
