@@ -1,8 +1,9 @@
 """Camera, gripper and clock of a simulated scene, whose time passes as slices are read."""
 
+import json
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -15,7 +16,6 @@ from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.building import Simulation, scene_in_words, simulation_of
 from evetac_cli.sim.scenes.gripped import GraspSimulation
-from evetac_cli.sim.scenes.second_finger import SecondView
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sensor import Sensor
 
@@ -74,12 +74,12 @@ class SecondSimulatedCamera(SimulatedCamera):
     def __init__(self, simulation: GraspSimulation, name: str, sensor: Sensor) -> None:
         super().__init__(simulation, "", name, sensor)
         assert simulation.second_view is not None
-        self._view: SecondView = simulation.second_view
-        self.sensor = _described(name, sensor, self._view.camera)
+        self._second = simulation
+        self.sensor = _described(name, sensor, simulation.second_view.camera)
 
     def read(self) -> Events | None:
         """Return the camera's events of the slice that the scene has made; None before the first and after the last."""
-        events = None if self._simulation is None else self._view.events
+        events = None if self._simulation is None else self._second.second_events
         self._now_us += SLICE_US * (events is not None)
         return events
 
@@ -131,7 +131,7 @@ def rig(plan: Plan, seeds: np.random.SeedSequence, timer: Timer = untimed, /, **
         None,
         simulation.truth,
         slices=simulation.slices_in_all,
-        sampled=simulation.sampled.as_json(),
+        sampled=json.dumps(asdict(simulation.sampled)),
         second=second,
     )
     if not isinstance(simulation, GraspSimulation):

@@ -7,6 +7,7 @@ the file.
 """
 
 import math
+import textwrap
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -27,6 +28,7 @@ REPEATS = 3  # most repeats
 BUDGET_S = 3.0  # total time of the runs; a slow scene is measured on fewer slices
 MOVING_S = 0.5  # measured duration of a trial once something moves
 BLOCK = 50  # slices that are timed together: the fastest run of each counts
+SHOWN = 40  # letters of the values of a part that a terminal shows
 MOST_FILES = 5  # most files that a plan with devices lists on a terminal
 SURE = 2.0  # a difference below this many standard errors of its mean over the blocks is noise
 
@@ -60,7 +62,7 @@ class PartCosts:
         names = [row["part"] for row in rows]
         costs, saved, noise = dict(self.timed_us), dict[str, float](), dict[str, float]()
         for row in rows:
-            part, shown = row["part"], costs if row["left_out"] is None else saved
+            part, shown = row["part"], saved if row["built"] is None else costs
             if part in self.switched_us:
                 both = min(len(self.whole_us), len(self.switched_us[part]))
                 more_us = self.whole_us[:both] - self.switched_us[part][:both]
@@ -113,16 +115,20 @@ def for_people(shown: Outcome) -> tuple[list[dict[str, Any]], list[str]]:
     For one with devices (session.plan_shown): what is opened and done, with only the first files of a long list.
     """
     rows, summary = shown.rows, shown.summary
-    if "left_out" not in rows[0]:
+    if "built" not in rows[0]:
         files = [row for row in rows if row["part"] == "file"]
         more = [{"part": "files", "what": f"{len(files):,} in all", "detail": "-v lists them"}]
         return (rows if len(files) <= MOST_FILES else [row for row in rows if row not in files[MOST_FILES:]] + more), []
     built = [
-        {"part": row["part"], "built": row["built"], "time_us": _in_words(row["time_us"], row["noise_us"])}
+        {
+            "part": row["part"],
+            "built": textwrap.shorten(row["built"], SHOWN, placeholder=" ..."),
+            "time_us": _in_words(row["time_us"], row["noise_us"]),
+        }
         for row in rows
         if row["built"] is not None
     ]
-    left_out = [row for row in rows if row["left_out"] is not None]
+    left_out = [row for row in rows if row["built"] is None]
     would_take = [
         f"{row['part']} {saved} us"
         for row in left_out
@@ -130,7 +136,7 @@ def for_people(shown: Outcome) -> tuple[list[dict[str, Any]], list[str]]:
     ]
     sentences = ["-: measured within another part; camera includes dots, window, edge and noise."]
     if left_out:
-        sentences += [f"{len(left_out)} parts are left out: scene and sensor do not name them (-v: reasons)."]
+        sentences += [f"{len(left_out)} parts are left out: scene and sensor do not name them (-v: in full)."]
     if would_take:
         sentences += [f"They would take: {', '.join(would_take)}."]
     if "time_us_a_slice" in summary:

@@ -2,13 +2,13 @@
 
 import json
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 from page_text import bounds, code, fenced, folded, prose, sentence, table, value
 
 from evetac_cli.resources import SCENES, schemas
 from evetac_cli.resources import table as packaged
-from evetac_cli.sim.parts import rows_of
+from evetac_cli.sim.parts import PARTS, rows_of
 from evetac_cli.sim.setup.plan import Plan, first_plan
 from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL
 from evetac_cli.sim.setup.sensor_rows import rows as sensor_rows
@@ -16,66 +16,6 @@ from evetac_cli.text_files import read_toml
 
 Rules = Mapping[str, Any]
 EXAMPLE = "evetac"  # the sensor with which others are compared
-
-
-class Keys(NamedTuple):
-    """The keys that name a part in a sensor's row or a scene's file; empty if every scene of its kind has the part."""
-
-    sensor: tuple[str, ...] = ()
-    scene: tuple[str, ...] = ()
-
-
-# The keys of each part in sim/parts.py. A test compares the names and looks the keys up in schemas/.
-PARTS = {
-    "gel and friction": Keys(
-        ("shear_modulus_pa", "normal_modulus_pa"), ("randomise.static_friction", "randomise.memory_um", "solver")
-    ),
-    "friction that varies over the gel": Keys(("friction.patch_spread", "friction.patch_mm")),
-    "friction over pressure": Keys(("friction.pressure_exponent",), ("randomise.pressure_exponent",)),
-    "slow creep": Keys(("creep",)),
-    "what touches": Keys((), ("kind", "face", "rub", "tone")),
-    "gripper": Keys(("gripper",), ("gripper",)),
-    "free object": Keys((), ("kind",)),
-    "table and hand": Keys((), ("hand",)),
-    "pushes": Keys((), ("push",)),
-    "falling weight": Keys((), ("drop",)),
-    "camera": Keys(("threshold", "mismatch", "edge_sigma_px", "log_contrast")),
-    "dots": Keys(("dot_columns_px", "dot_rows_px", "dot_xy_px", "dot_radius_px")),
-    "dots that differ": Keys(("dot_radius_spread", "dot_contrast_spread")),
-    "window": Keys(("window_px",), ("gel.cut", "texture")),
-    "contact edges": Keys((), ("rub.edge_log_contrast", "rub.edge_blur_px")),
-    "cut edge": Keys(("cut_contrast", "cut_width_px", "cut_jitter_px")),
-    "noise": Keys(("noise_hz", "noise_on_share", "timestamp_step_us")),
-    "hot pixels": Keys(("hot_pixels", "hot_pixel_hz", "hot_pixel_table")),
-    "noise filter": Keys(("noise_filter.support_ms",)),
-    "OFF threshold of its own": Keys(("threshold_off",)),
-    "limit of the readout": Keys(("readout.events_per_s",)),
-    "slow pixels": Keys(("bandwidth_hz",)),
-    "bandwidth that falls with light": Keys(("bandwidth_by_light",)),
-    "uneven light": Keys(("light_gradient",)),
-    "lens distortion": Keys(("distortion",)),
-    "leak": Keys(("leak_hz",)),
-    "blind pixels": Keys(("refractory_us",)),
-    "changing light": Keys((), ("light",)),
-    "vanishing dots": Keys((), ("vanishing_dots",)),
-    "calibration that is off": Keys((), ("calibration",)),
-    "change of friction": Keys((), ("friction_change",)),
-    "gear friction": Keys(("gripper.friction_factor",), ("gripper.friction_factor",)),
-    "gear that breaks loose": Keys(("gripper.kinetic_share",)),
-    "backlash of the gripper": Keys(("gripper.backlash_ticks",), ("gripper.backlash_ticks",)),
-    "camera of the second finger": Keys(()),
-    "second finger of its own": Keys((), ("gripper.second_finger",)),
-    "noise of the gripper's encoder": Keys(("gripper.encoder_noise_ticks",), ("gripper.encoder_noise_ticks",)),
-    "commands that come late": Keys(
-        ("gripper.command_delay_ms", "gripper.command_jitter_ms"),
-        ("gripper.command_delay_ms", "gripper.command_jitter_ms"),
-    ),
-    "profile of the hand's motion": Keys((), ("hand.profile",)),
-    "vibration of the hand": Keys((), ("hand.vibration",)),
-    "jerk of the hand": Keys((), ("hand.jerk",)),
-    "other stiffness of the gel": Keys((), ("gel.stiffness_factor",)),
-    "other mass of the object": Keys((), ("object.mass_g",)),
-}
 
 
 def pages() -> dict[str, str]:
@@ -111,7 +51,7 @@ def _scenes() -> str:
         comment = " ".join(line.removeprefix("#").strip() for line in _head(text))
         named = read_toml(SCENES / f"{name}.toml")
         command = "grasp" if named["kind"] == "lift" else "record"
-        built = [row["part"] for row in rows_of(plan_of(name)) if row["built"]]
+        built = [row["part"] for row in rows_of(plan_of(name)) if row["built"] is not None]
         lines += [
             f"## {name}\n",
             sentence(prose(named["summary"])) + "\n",
@@ -168,43 +108,35 @@ def _sensors() -> str:
 def _parts() -> str:
     rules = {"sensor": _rules("sensor"), "scene": _rules("scene")}
     built: dict[str, list[str]] = {}
-    why_not: dict[str, str] = {}
-    order = []
     for name in scene_names():
         for row in rows_of(plan_of(name)):
-            built.setdefault(row["part"], [])
-            if row["part"] not in order:
-                order.append(row["part"])
-            if row["built"]:
-                built[row["part"]].append(name)
-            else:
-                why_not.setdefault(row["part"], row["left_out"])
-    realistic = {row["part"]: row["built"] for row in rows_of(plan_of("slip", "realistic")) if row["built"]}
+            built.setdefault(row["part"], []).extend([] if row["built"] is None else [name])
+    realistic = {row["part"]: row["built"] for row in rows_of(plan_of("slip", "realistic")) if row["built"] is not None}
     lines = [
         "# Parts of a scene and a sensor\n",
         "A simulation is built from parts. A part that neither scene nor sensor names is left out and costs no run"
         " time. [Disturbances](../disturbances.md) shows how each part changes events, labels, tracks and grasps.\n",
     ]
-    for name in order:
-        keys = PARTS[name]
+    for part in PARTS:
+        name = part.name
         lines.append(f"## {name}\n")
         rows = [
             (code(path), owner, prose(rule.get("description", "")), _values(rule))
-            for owner, paths in (("sensor", keys.sensor), ("scene", keys.scene))
+            for owner, paths in (("sensor", part.sensor), ("scene", part.scene))
             for path in paths
             for rule in (_rule(rules[owner], path),)
         ]
         lines.append(table(("key", "of", "meaning", "values"), rows))
-        scenes, reason = built[name], prose(why_not.get(name, ""))
+        scenes = built[name]
         if len(scenes) == len(scene_names()):
             lines.append("In every packaged scene.\n")
         elif scenes:
             listed = ", ".join(f"[{each}](scenes.md#{each})" for each in scenes)
-            lines.append(f"In {listed}. Left out elsewhere: {reason}.\n")
+            lines.append(f"In {listed}.\n")
         else:
-            lines.append(f"Left out of all packaged scenes with the sensor `{EXAMPLE}`: {reason}.\n")
+            lines.append(f"Left out of all packaged scenes with the sensor `{EXAMPLE}`.\n")
         if name in realistic and not scenes:
-            lines.append(f"The sensor [`realistic`](sensors.md#realistic) has it: {prose(realistic[name])}.\n")
+            lines.append(f"The sensor [`realistic`](sensors.md#realistic) has it: `{realistic[name]}`.\n")
     return "\n".join(lines)
 
 

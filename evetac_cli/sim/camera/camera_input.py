@@ -77,12 +77,12 @@ def _fill_ends(
     return within
 
 
-def positions(name: str, values: ArrayLike, count: int | None = None) -> Floats:
-    """Return positions (n, 2) in px, contiguous; `count`: the required number, if any."""
+def positions(name: str, values: ArrayLike) -> Floats:
+    """Return positions (n, 2) in px, contiguous."""
     xy = np.ascontiguousarray(values, np.float64)
-    if xy.size == 0 and count in (0, None):
+    if xy.size == 0:
         return np.empty((0, 2))
-    assert xy.ndim == 2 and xy.shape[1] == 2 and count in (None, len(xy))
+    assert xy.ndim == 2 and xy.shape[1] == 2
     if not _all_within(xy, FARTHEST_PX):
         raise ValueError(f"{name}: expected finite positions within {FARTHEST_PX:g} px, found {xy.min()} to {xy.max()}")
     return xy

@@ -141,17 +141,6 @@ def force_curve(
     second_stiffness: of the second finger's gel relative to the first's, if they differ.
     """
     assert np.isfinite(gaps.sample_m).all() and gaps.least_m == 0.0
-    for name, value in (
-        ("cell_area_m2", cell_area_m2),
-        ("normal_modulus_pa", normal_modulus_pa),
-        ("gel_height_m", gel_height_m),
-        ("finger_stiffness_n_m", finger_stiffness_n_m),
-        ("metres_per_tick", metres_per_tick),
-        ("reach_ticks", reach_ticks),
-        ("step_ticks", step_ticks),
-        ("second_stiffness", 1.0 if second_stiffness is None else second_stiffness),
-    ):
-        check_range(name, value, above=True)
     force, corner = _indentation_curve(gaps, normal_modulus_pa / gel_height_m * cell_area_m2, gel_height_m)
     second = corner
     if second_stiffness is not None:  # a corner at each point of either gel that comes into contact

@@ -15,7 +15,10 @@ from evetac_cli.sim.parts import Timer
 from evetac_cli.sim.scenes.shared import STEP_S
 from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
 
-ALONG = np.ones(2)  # the camera's axes are those of the pad
+# From coordinates of the pad, which are those of the first sensor, to those of the first sensor's image and of the
+# second's, which faces it; and back.
+ALONG, FACING = np.ones(2), np.array([1.0, -1.0])
+CAMERA, SECOND_CAMERA = "camera", "camera of the second finger"
 OUT_OF_SIGHT_M = np.zeros(2)  # position of an object without visible texture
 
 
@@ -51,24 +54,16 @@ class DotPath:
 
 
 class GelView:
-    """A camera's view of a pad, slice by slice, and the true slip of what it sees.
-
-    facing: (2,), from coordinates of the pad to those of the image, and back.
-    """
+    """A camera's view of a pad, slice by slice, and the true slip of what it sees."""
 
     def __init__(
-        self,
-        camera: GelCamera,
-        pad: gel.GelState,
-        pieces: int,
-        timer: Timer,
-        part: str = "camera",
-        facing: Floats = ALONG,
+        self, camera: GelCamera, pad: gel.GelState, pieces: int, timer: Timer, *, second: bool = False
     ) -> None:
-        """Start the view; pieces: number of straight pieces of a dot's path in each slice; part: what is measured."""
+        """Start the view; pieces: number of straight pieces of a dot's path in each slice; second: of that finger."""
         self.camera = camera
-        self.render = timer(part, camera.render)
-        self._pad, self._facing = pad, facing
+        self.render = timer(SECOND_CAMERA if second else CAMERA, camera.render)
+        self._pad = pad
+        facing = self._facing = FACING if second else ALONG
         rest_m, cut_m = camera.rest_m * facing, camera.cut_rest_m * facing
         self._at_dots = dots.interpolation(pad.node_xy_m, rest_m)
         self._at_seen = dots.interpolation(pad.node_xy_m, np.concatenate([rest_m, cut_m]))
@@ -78,7 +73,6 @@ class GelView:
         self._before_m = self._nearer_m = np.zeros_like(camera.rest_m)
         self._seen_m = np.zeros_like(camera.rest_m), np.zeros_like(camera.cut_rest_m)
         self._object: tuple[Floats, float] = (OUT_OF_SIGHT_M, 0.0)
-        self.shear_n: tuple[float, float] | Floats = (0.0, 0.0)
 
     def begin(self) -> Callable[[gel.StepInfo, float], None] | None:
         """Start a slice; return what each of its steps must call, if anything."""

@@ -27,9 +27,9 @@ from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
 from evetac_cli.sim.parts import Timer, untimed
-from evetac_cli.sim.scenes.gel_view import GelView
+from evetac_cli.sim.scenes.gel_view import ALONG, FACING, SECOND_CAMERA, GelView
 from evetac_cli.sim.scenes.hand import Hand
-from evetac_cli.sim.scenes.second_finger import FACING, PART, SecondFinger, SecondView
+from evetac_cli.sim.scenes.second_finger import SecondFinger
 from evetac_cli.sim.scenes.shared import (
     STEP_S,
     ChangingFriction,
@@ -96,6 +96,7 @@ class GraspSimulation:
         self._second_sensor = None if plan.second is None else sampling.sensor_with_gel(self._scene, plan.second.sensor)
         self._build_mechanics(touched, sensor, timer)
         self.second_view = self._build_second_view(plan, second_optics_rng, timer)
+        self.second_events: Events | None = None  # of the last slice
         self._encoder_noise_ticks = self._faults.encoder_noise_ticks
         delay, jitter = (ms * 1e-3 / STEP_S for ms in (self._faults.command_delay_ms, self._faults.command_jitter_ms))
         self._commands = None
@@ -105,7 +106,7 @@ class GraspSimulation:
         self.finished = False
         self._mass_kg = self.sampled.mass_kg
         self._lost_for = 0
-        self._shear_n = (0.0, 0.0)
+        self._shear_n = self._second_shear_n = (0.0, 0.0)
         self._table_m = 0.0
         self._pulls = 1.0  # gravity plus the hand's acceleration, divided by gravity
         self.slices_in_all = self._planned_slices(lift_s, balance_s)
@@ -127,7 +128,7 @@ class GraspSimulation:
             "gear that breaks loose": self.drive.kinetic_share < 1.0,
             "backlash of the gripper": self.drive.backlash_ticks > 0.0,
             "second finger of its own": self._second is not None,
-            PART: self.second_view is not None,
+            SECOND_CAMERA: self.second_view is not None,
             "noise of the gripper's encoder": self._encoder_noise_ticks > 0.0,
             "commands that come late": self._commands is not None,
             "profile of the hand's motion": hand.profile != HandSettings.profile,
@@ -142,7 +143,7 @@ class GraspSimulation:
             return round((self._time.touch_s + lift_s + balance_s) * SLICES_PER_S)
         return round(self._time.longest_s * SLICES_PER_S)
 
-    def _build_second_view(self, plan: Plan, rng: np.random.Generator | None, timer: Timer) -> SecondView | None:
+    def _build_second_view(self, plan: Plan, rng: np.random.Generator | None, timer: Timer) -> GelView | None:
         """Build the second finger's camera, if the plan has one; its window shows another side of the object."""
         if self._second_sensor is None:
             return None
@@ -150,7 +151,7 @@ class GraspSimulation:
         texture = self._texture(plan.called, rng, SECOND)
         scene = self._scene
         camera = GelCamera(self._second_sensor, scene=scene, texture=texture, rng=rng)
-        return SecondView(camera, self._pads[-1], timer, self._solver.camera_substeps)
+        return GelView(camera, self._pads[-1], self._solver.camera_substeps, timer, second=True)
 
     def _texture(self, called: Called, rng: np.random.Generator, *side: int) -> NDArray[np.float32] | None:
         """Return the texture in the window; None if the scene has no texture, does not show it, or has no window."""
@@ -289,7 +290,7 @@ class GraspSimulation:
         self.finished = self.slices >= self.slices_in_all or self._over()
         return events
 
-    def _see_second(self, view: SecondView, *, still: bool) -> None:
+    def _see_second(self, view: GelView, *, still: bool) -> None:
         """Render the slice with the second finger's camera."""
         assert self._second is not None
         if not still:
@@ -299,7 +300,7 @@ class GraspSimulation:
             from_middle_m = _window_from_middle_m(view.camera, middle_m)
             moved_m = self._gel.pose[:2] * FACING - middle_m
             view.show(_in_window(moved_m, -float(self._gel.pose[2]), from_middle_m), self._contrast())
-        view.events = view.see(self.slices, still=still)
+        self.second_events = view.see(self.slices, still=still)
 
     def _fallen_m(self) -> float:
         """Return the object's motion along gravity since the start, in m."""
@@ -344,7 +345,8 @@ class GraspSimulation:
         self._steps.follow(done, self._friction)
         self._shear_n = done.friction_n[:2]
         if self.second_view is not None and self._second_shares is not None:
-            self.second_view.turn(self._gel.pose, done.second_friction_n[:2])
+            self._pads[-1].pose[:] = self._gel.pose
+            self._second_shear_n = done.second_friction_n[:2]
             self.second_view.follow(self._second_shares, self.finger.force_n, still_for)
 
     def _close(self, second_pad: gel.GelState | None) -> None:
@@ -495,15 +497,7 @@ class GraspSimulation:
 
     def truth(self) -> dict[str, Any]:
         """Return the ground truth at the end of the last slice, by schema path."""
-        moved_m = self._gel.pose[:2] - self._middle_m
-        row = {
-            **self.view.truth(),
-            "truth/object_xy_px": (moved_m * 1e3 / self.gel_camera.mm_per_px).astype(np.float32),
-            "truth/normal_force_n": self.finger.force_n,
-            "truth/shear_force_n": self._shear_n,
-            "truth/closing_ticks": self.finger.closing_ticks,
-            **self._steps.rows(),
-        }
+        row = {**self._truth_of(self.view, self._shear_n, ALONG), **self._steps.rows()}
         if self._kind == "lift":
             row["truth/table_gap_mm"] = (self._table_m - self._fallen_m()) * 1e3
             row["truth/holding_force_n"] = self.holding_n
@@ -512,8 +506,18 @@ class GraspSimulation:
     def second_truth(self) -> dict[str, Any]:
         """Return the ground truth of the second finger, which must have a camera."""
         assert self.second_view is not None
-        own = self.second_view.second_truth(self._gel.pose[:2] - self._middle_m)
-        return {**own, "truth/normal_force_n": self.finger.force_n, "truth/closing_ticks": self.finger.closing_ticks}
+        return self._truth_of(self.second_view, self._second_shear_n, FACING)
+
+    def _truth_of(self, view: GelView, shear_n: tuple[float, float], facing: NDArray[np.float64]) -> dict[str, Any]:
+        """Return the ground truth of a finger, whose camera sees coordinates of the first sensor times `facing`."""
+        moved_m = (self._gel.pose[:2] - self._middle_m) * facing
+        return {
+            **view.truth(),
+            "truth/object_xy_px": (moved_m * 1e3 / view.camera.mm_per_px).astype(np.float32),
+            "truth/normal_force_n": self.finger.force_n,
+            "truth/shear_force_n": np.array(shear_n) * facing,
+            "truth/closing_ticks": self.finger.closing_ticks,
+        }
 
 
 def _window_from_middle_m(camera: GelCamera, middle_m: NDArray[np.float64]) -> tuple[float, float] | None:

@@ -12,24 +12,16 @@ and rotations are reversed. The pad itself is simulated in the coordinates of th
 """
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from evetac_cli.arrays import Floats
-from evetac_cli.events import Events
-from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.cell_gaps import CellGaps
 from evetac_cli.sim.gel.pressure_law import PressureLaw
-from evetac_cli.sim.parts import Timer
-from evetac_cli.sim.scenes.gel_view import GelView
 from evetac_cli.sim.scenes.shared import friction_factor, material, press
 from evetac_cli.sim.setup.held import SecondFingerSettings
 from evetac_cli.sim.setup.sensor import Sensor
-
-FACING = np.array([1.0, -1.0])  # from coordinates of the first sensor to those of the second, and back
-PART = "camera of the second finger"
 
 
 class SecondFinger:
@@ -69,25 +61,3 @@ class SecondFinger:
         assert curve.second_indentation_m is not None
         self.indentation_m = contact.lookup(curve.second_indentation_m, curve.step_ticks, closing_ticks)
         return press(state, self.indentation_m, gaps, self.friction_factor, law)
-
-
-class SecondView(GelView):
-    """The second finger's camera, slice by slice."""
-
-    def __init__(self, camera: GelCamera, pad: gel.GelState, timer: Timer, pieces: int) -> None:
-        """Start the camera; pieces: number of straight pieces of a dot's path in each slice."""
-        super().__init__(camera, pad, pieces, timer, PART, FACING)
-        self.events: Events | None = None  # events of the last slice
-
-    def turn(self, pose: Floats, shear_n: tuple[float, float]) -> None:
-        """Store the object's pose, and the shear of the pad, at the end of a slice."""
-        self._pad.pose[:] = pose
-        self.shear_n = np.array(shear_n) * FACING
-
-    def second_truth(self, moved_m: Floats) -> dict[str, Any]:
-        """Return the ground truth of this finger; moved_m: the object's motion in coordinates of the first sensor."""
-        return {
-            **self.truth(),
-            "truth/object_xy_px": (moved_m * FACING * 1e3 / self.camera.mm_per_px).astype(np.float32),
-            "truth/shear_force_n": self.shear_n,
-        }

@@ -19,9 +19,8 @@ A constant loss tangent of 0.15 would amplify waves near 753 Hz five times and s
 498 Hz the subharmonic then won with most of the tried seeds, where the paper's method was never wrong.
 """
 
-import json
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -145,10 +144,6 @@ class SampledTone:
     direction_rad: float
     subharmonic_phase_rad: float
     offset_mm: tuple[float, float]
-
-    def as_json(self) -> str:
-        """Return the values as JSON, for the ground truth of a recording."""
-        return json.dumps(asdict(self))
 
 
 class SpeakerMotion(NamedTuple):

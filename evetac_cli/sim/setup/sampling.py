@@ -9,9 +9,8 @@ Each range has its own random stream, numbered by `stream`. So adding, moving or
 value.
 """
 
-import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,10 +42,6 @@ class SampledTrial:
     touch_m: tuple[float, float]  # object's middle relative to the middle of the pad: along gravity, across gravity
     lever_m: float  # distance, across gravity, from the touched point to the centre of mass
     floor_m: float  # distance from the object, as held, down to the floor
-
-    def as_json(self) -> str:
-        """Return the values as JSON, for the ground truth of a recording."""
-        return json.dumps(asdict(self))
 
 
 def sample_trial(

@@ -146,26 +146,11 @@ class LightStep(Table):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flash(Table):
-    """Flashes of light that do not pass through the print: dots get brighter, bare gel hardly does."""
-
-    #: time from one flash to the next, and from the start to the first
-    every_s: Annotated[float, Meta(ge=0.05, le=3600)]
-    #: brightness of each pulse of a flash, relative to bare gel; each pulse lasts one slice (1 ms), with one slice
-    #: between pulses
-    brightness: Annotated[tuple[Annotated[float, Meta(ge=0.001, le=1000)], ...], Meta(min_length=1, max_length=8)]
-
-
-@dataclass(frozen=True, kw_only=True)
 class LightSettings(Table):
-    """Light that varies, or that does not pass through the print."""
+    """Light that varies."""
 
     flicker: Flicker | None = None
     step: LightStep | None = None
-    #: light that does not pass through the print (scattered, or from inside the sensor), relative to the lamp's light
-    #: on bare gel; it neither flickers nor steps
-    floor: UpTo1000 = 0.0
-    flash: Flash | None = None
 
     NOT_EMPTY: ClassVar = True
 

@@ -58,10 +58,9 @@ def test_drawn_and_dry() -> None:
     samples = [json.loads(str(rig(made, np.random.SeedSequence(seed)).sampled)) for seed in range(8)]
     assert {one["object_name"] for one in samples} == {"finger", "handle"}
     assert all(0.55 <= one["edge_log_contrast"] <= 0.8 and 1.5 <= one["edge_blur_px"] <= 3 for one in samples)
-    built = {row["part"]: row["built"] for row in rows_of(made)}
-    assert built["contact edges"]
-    assert built["cut edge"]
-    assert not built["gripper"]
+    built = {row["part"] for row in rows_of(made) if row["built"] is not None}
+    assert {"contact edges", "cut edge"} <= built
+    assert "gripper" not in built
 
 
 def test_same_seed_same_recording() -> None:

@@ -119,8 +119,8 @@ def test_the_second_camera_sees_the_mirror_image() -> None:
     for k in range(60):
         one.command = ("current", held_ma - k)
         events = one.step()
-    assert one.second_view is not None and one.second_view.events is not None
-    assert one.second_view.events.size == pytest.approx(events.size, rel=0.5, abs=20)
+    assert one.second_events is not None
+    assert one.second_events.size == pytest.approx(events.size, rel=0.5, abs=20)
     first, second = one.truth(), one.second_truth()
     grid_px = one.gel_camera.grid_xy_px
     moved_px, mirrored_px = (each["truth/dot_xy_px"].reshape(grid_px.shape) - grid_px for each in (first, second))

@@ -12,7 +12,7 @@ slice.
 
 The events are those of comparing every pixel in every scan (except for RESOLUTION_PX), but few pixels are compared: see
 pixel_culling (gel) and window. For lines that are not dots see lines. Leak events are up to 40 ms late: see leak. For
-light that flickers, steps or flashes see light.
+light that flickers or steps see light.
 
 A refractory pixel is blind: its reference follows its level until the refractory period is over.
 
@@ -60,7 +60,7 @@ LOWEST_THRESHOLD = 0.25
 
 @dataclass(frozen=True)
 class CameraModel:
-    """The constants of one camera; ValueError if it could see nothing with them.
+    """The constants of one camera, within the limits of a sensor's file.
 
     Thresholds are in log brightness; `mismatch` is their relative standard deviation over the pixels. `threshold_off`
     separates the thresholds of ON and OFF: each pixel has two, drawn independently.
@@ -95,12 +95,6 @@ class CameraModel:
     max_events: int = 1_000_000
     events_per_s: float | None = None
     support_ms: float | None = None
-
-    def __post_init__(self) -> None:
-        check_range("mismatch", self.mismatch, 0.0, 1.0)
-        check_range("noise_rate_hz", self.noise_rate_hz, 0.0, 1e4)
-        for name in ("threshold", "edge_sigma_px", "log_contrast", "dot_radius_px"):
-            check_range(name, getattr(self, name), 0.01, 1e3)
 
     @property
     def has_hot_pixels(self) -> bool:
@@ -226,7 +220,7 @@ def start(
     window_reference = phase[y0:y1, x0:x1].copy()
     threshold[y0:y1, x0:x1] = np.inf
     columns = np.arange(model.scans_per_ms * width).reshape(-1, width)
-    light = None if light_change is None else Light(light_change, model.frame_px, y1 - y0, (profile, shapes))
+    light = None if light_change is None else Light(light_change, model.frame_px, y1 - y0)
     level = shaped_level(model.frame_px, dots, profile, shapes)
     assert contact_edges is None or contact_edges.frame_px == (width, height)
     blind = model.refractory_us > SLICE_US / model.scans_per_ms

@@ -1,4 +1,4 @@
-"""Light that flickers, steps or flashes: the brightness of all pixels of a scanning camera changes together.
+"""Light that flickers or steps: the brightness of all pixels of a scanning camera changes together.
 
 In log brightness a change of the light adds the same number to every level. Instead, that number is subtracted from the
 references, once per slice, at its last scan, and the pixels that cross their threshold fire there. So the camera sees
@@ -10,12 +10,9 @@ hold until a dot, a line or leak changes the levels of the run. A slice costs th
 comparison of runs that are crossed or have changed. Candidate pixels of moving dots hold for the whole range of a
 flicker (`candidate_light`).
 
-Light that does not pass the print (`floor`, `flash`) also changes the contrast of the dots (PrintContrast). Then each
-change rewrites their tables, discards everything known of any pixel, and compares all pixels.
-
-Not simulated: the bandwidth of the pixels (300 Hz would take 5 % off a flicker of 100 Hz), and noise that grows as the
-light fades. Light that does not pass the print does not reduce the contrast of texture and lines. If
-a rim and the light both cross a threshold in a last scan, a pixel has two events.
+Not simulated: light that does not pass the print, the bandwidth of the pixels (300 Hz would take 5 % off a flicker of
+100 Hz), and noise that grows as the light fades. If a rim and the light both cross a threshold in a last scan, a pixel
+has two events.
 """
 
 import math
@@ -26,14 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
-from evetac_cli.events import SLICE_US, SLICES_PER_S
+from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.contact_edges import LineMotion
-from evetac_cli.sim.camera.dot_shapes import DotShapes, differing_row
+from evetac_cli.sim.camera.dot_shapes import differing_row
 from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.leak import LEAK_SLICES
-from evetac_cli.sim.camera.optics import DotProfile
 from evetac_cli.sim.camera.scanning.pixel_culling import RESOLUTION_PX
 from evetac_cli.sim.camera.scanning.pixels import (
     RUN_PX,
@@ -47,49 +43,18 @@ from evetac_cli.sim.setup.scene import LightSettings
 ROUNDING = 1e-5
 
 
-class PrintContrast:
-    """A camera's tables of dots, rewritten in place for each pair of lights: one shows the print, the other does not.
-
-    A pixel that receives a share r of the first light's full brightness (1 on bare gel, exp(-log_contrast) on ink) and
-    all of the second has the log brightness ln(first * r + second). Relative to bare gel, which is the zero of a
-    camera's tables, that is ln((first * r + second) / (first + second)).
-    """
-
-    def __init__(self, levels: list[NDArray[np.float32]]) -> None:
-        """Take tables of log brightness under the first light alone; they are changed in place afterwards."""
-        self._tables = levels
-        self._shares = [np.exp(level.astype(np.float64)) for level in levels]
-
-    def show(self, first: float, second: float) -> float:
-        """Write the tables for two lights, the second above 0; return the log brightness of bare gel."""
-        for table, share in zip(self._tables, self._shares, strict=True):
-            table[:] = np.log((first * share + second) / (first + second))
-        return math.log(first + second)
-
-
 @dataclass(frozen=True)
 class LightChange:
-    """Change of the light; ValueError if a value is out of range.
+    """Change of the light.
 
     Flicker: brightness = mean * (1 + depth sin(2 pi frequency t)); a depth of 0 means no flicker. Step: brightness is
-    multiplied by `step_factor` at `step_at_s`. Both apply to the light that shows the print.
-
-    Additional light does not pass the print, and is given relative to the first light on bare gel at the start. `floor`
-    is constant. Every `flash_every_s` there are pulses with the brightnesses `flash`, each one slice long, with one
-    slice between them.
+    multiplied by `step_factor` at `step_at_s`.
     """
 
     frequency_hz: float = 100.0
     depth: float = 0.0
     step_at_s: float = 0.0
     step_factor: float = 1.0
-    floor: float = 0.0
-    flash_every_s: float = 1.0
-    flash: tuple[float, ...] = ()
-
-    def __post_init__(self) -> None:
-        if 2 * len(self.flash) > self.flash_every_s * SLICES_PER_S:
-            raise ValueError(f"light.flash: {len(self.flash)} pulses do not fit into {self.flash_every_s:g} s")
 
     def flicker(self, time_us: float) -> float:
         """Return what the flicker adds to log brightness at a time."""
@@ -99,46 +64,20 @@ class LightChange:
         """Return what the step adds to log brightness at a time."""
         return math.log(self.step_factor) if time_us >= self.step_at_s * 1e6 else 0.0
 
-    @property
-    def passes_no_print(self) -> bool:
-        """Whether some of the light does not pass the print."""
-        return self.floor > 0.0 or len(self.flash) > 0
-
-    def two_lights(self, time_us: float) -> tuple[float, float]:
-        """Return the brightness at a time of the light that shows the print, and of the light that does not pass it."""
-        every = round(self.flash_every_s * SLICES_PER_S)
-        slice_number = int(time_us // SLICE_US)
-        pulse, dark = divmod(slice_number % every, 2)
-        shines = slice_number >= every and not dark and pulse < len(self.flash)
-        second = self.floor + (self.flash[pulse] if shines else 0.0)
-        return math.exp(self.flicker(time_us) + self.step(time_us)), second
-
 
 class Light:
     """The light on one camera, and the camera's last view of it."""
 
-    def __init__(
-        self, change: LightChange, frame_px: tuple[int, int], window_rows: int, dots: tuple[DotProfile, DotShapes]
-    ) -> None:
-        """Start with the light at time 0, for a frame of (width, height) and a window of this many rows (0: none).
-
-        dots: their tables, which are changed in place if some of the light does not pass the print.
-        """
+    def __init__(self, change: LightChange, frame_px: tuple[int, int], window_rows: int) -> None:
+        """Start with the light at time 0, for a frame of (width, height) and a window of this many rows (0: none)."""
         width, height = frame_px
         self._change = change
-        self._profile = dots[0]
-        self._print: PrintContrast | None = None
-        if change.passes_no_print:
-            self._print = PrintContrast([dots[0].level, dots[1].level])
-            self._seen_lights = change.two_lights(0.0)
-            self._seen_bare = self._print.show(*self._seen_lights)
         self._seen_flicker = change.flicker(0.0)
         self._seen_step = 0.0
         brightest, darkest = math.log1p(change.depth), math.log1p(-change.depth)
         self._middle = 0.5 * (brightest + darkest)
         self.candidate_light: NDArray[np.float32] = np.array(
-            [self._seen_flicker - self._middle, 0.5 * (brightest - darkest)] if self._print is None else [0.0, 0.0],
-            np.float32,
+            [self._seen_flicker - self._middle, 0.5 * (brightest - darkest)], np.float32
         )
         runs = -(-width // RUN_PX)
         self._bounds = (
@@ -162,9 +101,9 @@ class Light:
         """Before a slice is scanned, discard the bounds of runs whose level or references it will change.
 
         `path` (dots, k + 1, 2) are the paths of the dots, `lines` the moving lines, `first_leaking_row` the first row
-        that is due to leak. Bounds are kept only for a flicker, and only if all light shows the print.
+        that is due to leak. Bounds are kept only for a flicker.
         """
-        if self._change.depth == 0.0 or self._print is not None:
+        if self._change.depth == 0.0:
             return
         _, high, _, row_high, _, window_high, _ = self._bounds
         _forget_rings(path, gel[0], float(gel[1][1]), gel[5][13], high, row_high)
@@ -197,15 +136,6 @@ class Light:
         scans = len(readout_us)
         now_us = t0_us + (scans - 1) * SLICE_US / scans
         when = (readout_us[-1], now_us, float(refractory_us))
-        if self._print is not None:
-            lights = self._change.two_lights(now_us)
-            if lights == self._seen_lights:
-                return event_count
-            bare_before = self._seen_bare
-            self._seen_lights, self._seen_bare = lights, self._print.show(*lights)
-            self._forget_all(gel)
-            change = np.float32(self._seen_bare - bare_before)
-            return int(_shine(change, self._seen_bare, gel, window, self._bounds, when, keys, event_count))
         flicker, step = self._change.flicker(now_us), self._change.step(now_us)
         if flicker == self._seen_flicker and step == self._seen_step:
             return event_count
@@ -219,17 +149,6 @@ class Light:
         self._seen_flicker, self._seen_step = flicker, step
         self.candidate_light[0] = flicker - self._middle
         return int(_shine(change, flicker + step, gel, window, self._bounds, when, keys, event_count))
-
-    def _forget_all(self, gel: tuple[Any, ...]) -> None:
-        """Discard everything that follows from the appearance of the dots."""
-        for bounds in (self._bounds[1], self._bounds[3], self._bounds[5]):
-            bounds[:] = -np.inf
-        candidates = CandidatePixels(*gel[5])
-        candidates.level_index[:] = optics.level_index(self._profile)
-        candidates.lower2_px2[:] = np.inf
-        candidates.list_box[:] = np.nan
-        candidates.drawn_dots[:] = 0.0
-        candidates.drawn_at[:] = 0.0
 
 
 @njit(cache=True, _nrt=False)
@@ -401,11 +320,9 @@ def of_scene(settings: LightSettings | None) -> LightChange | None:
     """Return the change of a scene's light; None if the light is steady."""
     if settings is None:
         return None
-    change, flicker, step, flash = LightChange(floor=settings.floor), settings.flicker, settings.step, settings.flash
+    change, flicker, step = LightChange(), settings.flicker, settings.step
     if flicker is not None:
         change = replace(change, frequency_hz=flicker.frequency_hz, depth=flicker.depth)
     if step is not None:
         change = replace(change, step_at_s=step.at_s, step_factor=step.factor)
-    if flash is not None:
-        change = replace(change, flash_every_s=flash.every_s, flash=flash.brightness)
     return change

@@ -1,4 +1,4 @@
-"""Light that flickers, steps or flashes: against every pixel compared after every change, and against closed forms."""
+"""Light that flickers or steps: against every pixel compared after every change, and against closed forms."""
 
 import dataclasses
 import math
@@ -51,17 +51,9 @@ def walk(slices: int, rng: np.random.Generator) -> NDArray[np.float64]:
     return DOTS + np.concatenate([np.zeros((1, 2, 2)), np.cumsum(travel, axis=0)])
 
 
-def wash(level: NDArray[np.float32], lights: tuple[float, float]) -> NDArray[np.float32]:
-    """The picture of dots, given under the first light alone, under two lights."""
-    first, second = lights
-    if second == 0.0:
-        return level
-    return np.log((first * np.exp(level.astype(np.float64)) + second) / (first + second)).astype(np.float32)
-
-
 def log_of_light(change: LightChange, now: float) -> float:
     """Log brightness of bare gel."""
-    return math.log(sum(change.two_lights(now))) if change.passes_no_print else change.flicker(now) + change.step(now)
+    return change.flicker(now) + change.step(now)
 
 
 @pytest.mark.parametrize("refractory_us", [0.0, 1500.0])
@@ -71,10 +63,8 @@ def log_of_light(change: LightChange, now: float) -> float:
         LightChange(depth=0.05),
         LightChange(frequency_hz=120.0, depth=0.4),
         LightChange(depth=0.1, step_at_s=0.02, step_factor=1.2),
-        LightChange(depth=0.4, floor=0.5),
-        LightChange(flash_every_s=0.05, flash=(0.3, 0.1), step_at_s=0.02, step_factor=1.2),
     ],
-    ids=["shallow", "deep", "flicker and step", "floor", "flash and step"],
+    ids=["shallow", "deep", "flicker and step"],
 )
 @pytest.mark.slow
 def test_light_against_every_pixel(change: LightChange, refractory_us: float) -> None:
@@ -87,7 +77,6 @@ def test_light_against_every_pixel(change: LightChange, refractory_us: float) ->
     reference, threshold, release = state.reference.copy(), state.threshold, np.zeros(state.reference.shape)
     result, expected = [], []
     seen = log_of_light(change, 0.0)
-    washed = change.two_lights(0.0)
 
     def compare(level: NDArray[np.float32], now: float) -> None:
         if refractory_us:
@@ -103,11 +92,11 @@ def test_light_against_every_pixel(change: LightChange, refractory_us: float) ->
         result.append(camera.step(state, SliceMotion(at[k], at[k + 1], STILL, STILL, 0.0), 1000 * k, rng))
         for scan in range(5):
             print_level = table_picture(at[k] + scan / 5 * (at[k + 1] - at[k]), model)
-            compare(wash(print_level, washed), 1000.0 * k + 200 * scan)
+            compare(print_level, 1000.0 * k + 200 * scan)
         now = 1000.0 * k + 800
         reference -= np.float32(log_of_light(change, now) - seen)
-        seen, washed = log_of_light(change, now), change.two_lights(now)
-        compare(wash(print_level, washed), now)
+        seen = log_of_light(change, now)
+        compare(print_level, now)
     assert len(expected) > 3000
     assert listed(result) == sorted(expected)
 
@@ -187,50 +176,22 @@ def test_a_deep_flicker_fires_its_crossings() -> None:
     assert 1.0 <= ups <= swing / 0.21
 
 
-def events_of_the_same_pixels(change: LightChange, slices: int, warm_up: int) -> tuple[float, float]:
-    """Mean events of some pixels after some slices to begin with: in the middle of dots, and where the dots are not."""
+def test_one_factor_tells_nothing_of_the_print() -> None:
+    """Assert that light that flickers as one factor makes the same events in the middle of dots and on bare gel.
+
+    The swing is ln(1.3 / 0.7), three thresholds.
+    """
     model = dataclasses.replace(QUIET, frame_px=(200, 120), mismatch=0.03)
     dots = np.array([[40.0, 60.0], [100.0, 60.0], [160.0, 60.0]])
     y, x = np.mgrid[:120, :200]
     in_print = np.hypot(x[None] - dots[:, :1, None], y[None] - dots[:, 1:, None]).min(axis=0) < 10
     means = []
     for at in (dots, dots + [0.0, 1000.0]):
-        state = camera.start(model, at, None, None, np.random.default_rng(0), light_change=change)
-        stand(state, warm_up)
+        state = camera.start(model, at, None, None, np.random.default_rng(0), light_change=LightChange(depth=0.3))
+        stand(state, 10)
         counts = np.zeros((120, 200))
-        for part in stand(state, slices, warm_up):
+        for part in stand(state, 100, 10):
             np.add.at(counts, (part.y, part.x), 1)
         means.append(float(counts[in_print].mean()))
-    return means[0], means[1]
-
-
-def test_one_factor_tells_nothing_and_a_floor_tells_the_print() -> None:
-    """Assert that light that flickers as one factor makes the same events in print and on gel, and over a floor not.
-
-    The swing of bare gel is ln(1.3 / 0.7) in both cases, three thresholds; over the floor that of the print is below
-    one, ln(1.532 / 1.268), and makes none but in a pixel or two of a low threshold.
-    """
-    on_dot, on_gel = events_of_the_same_pixels(LightChange(depth=0.3), 100, 10)
-    assert on_dot == on_gel
-    assert 2.5 < on_gel / 10 < 3.0  # in a period
-    on_dot, on_gel = events_of_the_same_pixels(LightChange(depth=0.66, floor=1.2), 100, 10)
-    assert 2.5 < on_gel / 10 < 3.0
-    assert on_dot / 10 < 0.05
-
-
-def test_a_flash_shows_the_dots_alone() -> None:
-    """Assert that a pulse too faint for bare gel makes one event up and one down in each pixel of the print."""
-    change = LightChange(flash_every_s=0.05, flash=(0.18,))
-    assert events_of_the_same_pixels(change, 100, 60) == (4.0, 0.0)  # of the pulses at 100 and 150 ms
-
-
-@pytest.mark.parametrize(
-    "made",
-    [
-        {"flash_every_s": 0.05, "flash": (0.1,) * 26},
-    ],
-)
-def test_refused_light_beside_the_print(made: dict[str, Any]) -> None:
-    """Assert that flashes without time between them are refused."""
-    with pytest.raises(ValueError, match=r"light\."):
-        LightChange(**made)
+    assert means[0] == means[1]
+    assert 2.5 < means[1] / 10 < 3.0  # in a period
