@@ -79,7 +79,7 @@ def circle(slice_: float) -> Floats:
 def gel_camera(scans_per_ms: int = 5) -> camera.CameraState:
     """Return a noise-free camera looking at the dots; the naive camera copies its references and thresholds."""
     model = camera.CameraModel(scans_per_ms=scans_per_ms, noise_rate_hz=0.0, hot_pixels=0)
-    return camera.start(model, circle(0), None, None, np.random.default_rng(0))
+    return camera.start(model, circle(0), None, np.random.default_rng(0))
 
 
 def seen(state: camera.CameraState, slice_: int) -> Events:

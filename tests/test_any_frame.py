@@ -40,7 +40,7 @@ def write_events(path: Path, frame_px: tuple[int, int], dots: NDArray[np.float64
     rest = dots.reshape(-1, 2)
     places = rest + np.stack([moved_px, 0.3 * moved_px], axis=1)[:, None]
     model = camera.CameraModel(frame_px=frame_px, noise_rate_hz=0.03, hot_pixels=0, dot_radius_px=RADIUS_PX)
-    state, rng = camera.start(model, rest, None, None, np.random.default_rng(0)), np.random.default_rng(1)
+    state, rng = camera.start(model, rest, None, np.random.default_rng(0)), np.random.default_rng(1)
     still = (0.0, 0.0)
     slices = []
     for k in range(SLICES):

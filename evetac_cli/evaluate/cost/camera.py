@@ -74,7 +74,7 @@ def play(load: Workload, seed: Sequence[int], substeps: int = 1) -> tuple[Events
     """
     window = None if load.window_px is None else (load.window_px, load.texture)
     path, moved = load.path_px(substeps), load.object_px(1)
-    state = camera.start(load.model, path[0], None, window, np.random.default_rng(seed))
+    state = camera.start(load.model, path[0], window, np.random.default_rng(seed))
     contrast = float(load.texture is not None)
     rng = np.random.default_rng(0)
     parts = []

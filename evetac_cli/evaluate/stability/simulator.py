@@ -191,4 +191,4 @@ def _camera_rows(case: CameraCase, slices: int, rng: np.random.Generator) -> Row
 def _camera(
     model: camera.CameraModel, window_px: tuple[int, int, int, int], rng: np.random.Generator
 ) -> camera.CameraState:
-    return camera.start(model, DOTS_PX, None, (window_px, optics.texture(rng, (256, 256), 4.0, 0.5)), rng)
+    return camera.start(model, DOTS_PX, (window_px, optics.texture(rng, (256, 256), 4.0, 0.5)), rng)

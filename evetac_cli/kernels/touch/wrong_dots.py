@@ -56,19 +56,11 @@ def start(motion: Floats, shape: tuple[int, int]) -> LayerMotion:
     return LayerMotion(unit * ndimage.gaussian_filter(each, (0, 0, SMOOTH_CELLS, SMOOTH_CELLS)), each)
 
 
-def wrong(
-    layer_motion: LayerMotion,
-    moved_mm: Floats,
-    trusted: Flags,
-    patch: Flags,
-    own_mm: float = OWN_MM,
-    common_mm: float = COMMON_MM,
-) -> Flags:
+def wrong(layer_motion: LayerMotion, moved_mm: Floats, trusted: Flags, patch: Flags) -> Flags:
     """Return flags (dots,) of the trusted dots whose motion contradicts the others and the patch.
 
-    moved_mm: (dots, 2) from rest. patch: (rows, columns), touched cells, none without a touch. own_mm, common_mm: sd of
-    the tracker's error per axis, of each dot and of all together. No dot is flagged with fewer than LEAST_DOTS dots, or
-    if more than MOST_SHARE of them would be.
+    moved_mm: (dots, 2) from rest. patch: (rows, columns), touched cells, none without a touch. No dot is flagged with
+    fewer than LEAST_DOTS dots, or if more than MOST_SHARE of them would be.
     """
     flags: Flags = np.zeros(len(trusted), np.bool_)
     used = np.flatnonzero(trusted)
@@ -78,9 +70,9 @@ def wrong(
     apart = moved_mm[used] - np.median(moved_mm[used], axis=0)
     moved = apart.ravel().copy()
     usual = np.minimum(moved**2, np.quantile(moved**2, 0.9)).mean()  # mean square, limited for the few largest
-    errors = np.eye(2 * count) * (own_mm**2 + MODEL_SHARE**2 * usual)
-    errors[::2, ::2] += common_mm**2
-    errors[1::2, 1::2] += common_mm**2
+    errors = np.eye(2 * count) * (OWN_MM**2 + MODEL_SHARE**2 * usual)
+    errors[::2, ::2] += COMMON_MM**2
+    errors[1::2, 1::2] += COMMON_MM**2
     shown = _shown(layer_motion, used, patch)
     inverse = linalg.inv(errors, check_finite=False) if shown is None else _inverse(shown, errors, moved, usual)
     left = np.ones(count, np.bool_)

@@ -238,7 +238,7 @@ class GelCamera:
             self._lines = contact_edges.start(model.frame_px, self._place, outline, *line)
         change = light.of_scene(scene.light)
         differ = dots_differ(sensor, cut)
-        self._camera = camera.start(model, self.dot_xy_px, None, window, rng, built, self._lines, change, differ)
+        self._camera = camera.start(model, self.dot_xy_px, window, rng, built, self._lines, change, differ)
         is_slow, by_light = self._lagging is not None, sensor.bandwidth_by_light
         exists = {
             "camera": True,

@@ -26,7 +26,7 @@ def small(name: str, model: CameraModel) -> Workload:
 def exact(load: Workload, seeds: tuple[int, int]) -> Events:
     """Every crossing of every pixel, of the dots and of the window."""
     window = None if load.window_px is None else (load.window_px, load.texture)
-    state = camera.start(load.model, load.path_px(1)[0], None, window, np.random.default_rng(seeds))
+    state = camera.start(load.model, load.path_px(1)[0], window, np.random.default_rng(seeds))
     step_us = 1000.0 / STEPS_PER_MS
     parts = [exact_events.reference_events(state, load.path_px(STEPS_PER_MS), step_us)]
     if window is not None:

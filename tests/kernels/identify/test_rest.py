@@ -19,7 +19,7 @@ FEWEST_HELD = {20: 16, 100: 88}
 
 def identified(model: CameraModel, seed: int, slices: int) -> tuple[RestNoise, camera.CameraState]:
     rng = np.random.default_rng(seed)
-    state = camera.start(model, np.empty((0, 2)), None, None, rng)
+    state = camera.start(model, np.empty((0, 2)), None, rng)
     parts = [camera.step_still(state, 1000 * number, rng) for number in range(slices)]
     t, x, y, p = (np.concatenate([getattr(part, column) for part in parts]) for column in "txyp")
     return rest.analyse(t, x, y, p, FRAME, 1000 * slices, np.random.default_rng(seed)), state

@@ -16,7 +16,7 @@ DOTS_PX = np.stack(np.meshgrid(60.0 + 63.0 * np.arange(4), 60.0 + 62.0 * np.aran
 def rms_px(preset: str, dot_radius_px: float) -> float:
     """How far the tracker is from dots that go 6 px to the right and back, as a share of how far they go."""
     model = camera.CameraModel(noise_rate_hz=0.03, hot_pixels=0, dot_radius_px=dot_radius_px)
-    state = camera.start(model, DOTS_PX, None, None, np.random.default_rng(0))
+    state = camera.start(model, DOTS_PX, None, np.random.default_rng(0))
     rng = np.random.default_rng(1)
     moved_px = FAR_PX * np.sin(np.pi * np.arange(SLICES + 1) / SLICES)
     true_px = DOTS_PX + np.stack([moved_px, np.zeros_like(moved_px)], axis=1)[:, None]

@@ -27,7 +27,7 @@ def start(
     dots: Any, model: CameraModel = QUIET, *, window: Any = None, texture: Any = None, seed: int = 0
 ) -> CameraState:
     """The state of a camera that is switched on before dots."""
-    return camera.start(model, dots, None, None if window is None else (window, texture), np.random.default_rng(seed))
+    return camera.start(model, dots, None if window is None else (window, texture), np.random.default_rng(seed))
 
 
 def play(state: CameraState, path: Path, slices: int, *, pieces: int = 1, seed: int = 1) -> list[Events]:

@@ -62,7 +62,7 @@ def lines_for(motion: Motion) -> ContactEdges:
 def start(motion: Motion, model: CameraModel = QUIET, *, window: bool = True) -> CameraState:
     strip = (STRIP, TEXTURE) if window else None
     rng = np.random.default_rng(0)
-    return camera.start(model, motion(0)[0], None, strip, rng, None, lines_for(motion))
+    return camera.start(model, motion(0)[0], strip, rng, None, lines_for(motion))
 
 
 def play(state: Any, motion: Motion, slices: int) -> Events:
@@ -175,7 +175,7 @@ def test_pixels_that_are_left_out_would_not_have_fired(speed: float) -> None:
 
     nothing = np.zeros((8, 8), np.float32)
     states = [
-        camera.start(QUIET, grid, None, window, np.random.default_rng(0), None, lines_for(turning))
+        camera.start(QUIET, grid, window, np.random.default_rng(0), None, lines_for(turning))
         for window in (None, ((0, 88, 2, 90), nothing))
     ]
     few, every = (play(state, turning, 40) for state in states)

@@ -74,7 +74,7 @@ def shaken(time_us: Floats) -> Floats:
 def by_motion(motion: Motion, bandwidth_hz: float | None, slices: int) -> tuple[Fired, Floats]:
     """Event times of each pixel and polarity, exact for filtered motion; and the first references."""
     begin = motion(np.zeros(1))
-    state = camera.start(MODEL, begin, None, None, np.random.default_rng(4))
+    state = camera.start(MODEL, begin, None, np.random.default_rng(4))
     path = motion(np.arange(0.0, slices * 1000.0 + FINE_US, FINE_US))[:, None]
     if bandwidth_hz:
         low_pass, steps = LowPass(bandwidth_hz, begin), 1000 // FINE_US

@@ -86,7 +86,7 @@ def test_still_slice_leaks_as_any_other() -> None:
     at = np.array([[40.0, 40.0], [100.0, 80.0]])
     here = np.zeros(2)
     rngs = [np.random.default_rng(4) for _ in range(2)]
-    states = [camera.start(model, at, None, None, rng) for rng in rngs]
+    states = [camera.start(model, at, None, rng) for rng in rngs]
     leaked = 0
     for k in range(160):
         places = (at, at + 3.0) if k == 100 else (at + 3.0 * (k > 100),) * 2

@@ -25,7 +25,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from evetac_cli.checks import check_range
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.noise_filter import NoiseFilter
@@ -175,7 +174,6 @@ class CameraState:
 def start(
     model: CameraModel,
     dot_xy_px: ArrayLike,
-    dot_radius_px: float | None,
     window: Window | None,
     rng: np.random.Generator,
     camera_rng: np.random.Generator | None = None,
@@ -186,7 +184,7 @@ def start(
     """Start the camera in front of dots (dots, 2); draw thresholds, hot pixels, and a phase for every pixel.
 
     A pixel's reference starts at its level plus a uniform phase in (-C_i, C_i); without the phase all pixels of a rim
-    would fire at once. If `dot_radius_px` is None, the model's is used.
+    would fire at once.
 
     `window` is its corners, x0, y0, x1, y1, ends excluded, and the texture (sides powers of two, from `optics.texture`)
     that its pixels see; they see no dots. Their first level is that at the start of the first `step`, so an object that
@@ -201,8 +199,7 @@ def start(
     """
     width, height = model.frame_px
     dots = camera_input.positions("dot_xy_px", dot_xy_px)
-    radius_px = model.dot_radius_px if dot_radius_px is None else float(dot_radius_px)
-    check_range("dot_radius_px", radius_px, 0.01, 1000.0)
+    radius_px = model.dot_radius_px
     profile = optics.dot_profile(radius_px, model.edge_sigma_px, model.log_contrast)
     shapes = alike()
     if dots_differ is not None:

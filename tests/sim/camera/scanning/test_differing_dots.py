@@ -24,7 +24,7 @@ UNSURE = 1e-4  # log units: single precision of both
 
 
 def start(dots: Any = APART, model: CameraModel = MODEL, factors: Any = FACTORS, **more: Any) -> CameraState:
-    return camera.start(model, dots, None, None, np.random.default_rng(0), dots_differ=factors, **more)
+    return camera.start(model, dots, None, np.random.default_rng(0), dots_differ=factors, **more)
 
 
 def misfits(state: CameraState, path: Path, slices: int) -> tuple[int, int]:

@@ -25,7 +25,7 @@ FineEvents = list[tuple[int, int, int, int]]
 def start(change: LightChange | None, model: CameraModel = QUIET, dots: Any = DOTS, **more: Any) -> CameraState:
     corners = more.pop("window", None)
     window = (corners, TEXTURE) if corners else None
-    return camera.start(model, dots, None, window, np.random.default_rng(0), light_change=change, **more)
+    return camera.start(model, dots, window, np.random.default_rng(0), light_change=change, **more)
 
 
 def stand(state: CameraState, slices: int, first: int = 0) -> list[Events]:
@@ -149,9 +149,7 @@ def test_a_step_fires_the_closed_share(share: float) -> None:
     """
     model = dataclasses.replace(QUIET, frame_px=(400, 300), mismatch=0.0)
     change = LightChange(step_at_s=0.0045, step_factor=math.exp(share * model.threshold))
-    state = camera.start(
-        model, DOTS, None, ((300, 0, 400, 300), TEXTURE), np.random.default_rng(0), light_change=change
-    )
+    state = camera.start(model, DOTS, ((300, 0, 400, 300), TEXTURE), np.random.default_rng(0), light_change=change)
     parts = stand(state, 10)
     sizes = [part.size for part in parts]
     assert sizes[:4] == [0] * 4
@@ -187,7 +185,7 @@ def test_one_factor_tells_nothing_of_the_print() -> None:
     in_print = np.hypot(x[None] - dots[:, :1, None], y[None] - dots[:, 1:, None]).min(axis=0) < 10
     means = []
     for at in (dots, dots + [0.0, 1000.0]):
-        state = camera.start(model, at, None, None, np.random.default_rng(0), light_change=LightChange(depth=0.3))
+        state = camera.start(model, at, None, np.random.default_rng(0), light_change=LightChange(depth=0.3))
         stand(state, 10)
         counts = np.zeros((120, 200))
         for part in stand(state, 100, 10):

@@ -22,7 +22,7 @@ def flash(events_per_s: float | None, slices: int = 20) -> tuple[camera.CameraSt
     """A light that becomes ten times as bright at 2 ms: an event of every pixel."""
     model = dataclasses.replace(QUIET, events_per_s=events_per_s)
     change = LightChange(step_at_s=0.002, step_factor=10.0)
-    state = camera.start(model, DOTS, None, None, np.random.default_rng(0), light_change=change)
+    state = camera.start(model, DOTS, None, np.random.default_rng(0), light_change=change)
     return state, play(state, line(DOTS, 0.0), slices)
 
 

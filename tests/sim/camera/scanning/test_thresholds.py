@@ -16,7 +16,7 @@ APART = CameraModel(frame_px=FRAME, noise_rate_hz=0.0, hot_pixels=0, threshold=0
 
 
 def start(model: CameraModel = APART, *window: Any) -> camera.CameraState:
-    return camera.start(model, [[30.0, 40.0]], None, window or None, np.random.default_rng(0))
+    return camera.start(model, [[30.0, 40.0]], window or None, np.random.default_rng(0))
 
 
 def there_and_back(state: camera.CameraState, speed_px_ms: float, slices: int) -> list[Any]:
@@ -89,7 +89,7 @@ def test_thresholds_are_drawn_independently() -> None:
 def test_leak_makes_its_rate_with_thresholds_apart() -> None:
     """Assert that leak makes `leak_hz` ON events a second in a pixel, whatever the two thresholds."""
     model = dataclasses.replace(APART, leak_hz=10.0)
-    state = camera.start(model, np.empty((0, 2)), None, None, np.random.default_rng(0))
+    state = camera.start(model, np.empty((0, 2)), None, np.random.default_rng(0))
     nowhere, rng = np.empty((0, 2)), np.random.default_rng(1)
     slices = [camera.step(state, SliceMotion(nowhere, nowhere, STILL, STILL, 0.0), 1000 * k, rng) for k in range(1400)]
     assert all((part.p == 1).all() for part in slices)
