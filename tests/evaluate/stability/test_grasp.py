@@ -21,6 +21,7 @@ from evetac_cli.jobs import Job, Rows
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.sim.gripper import Drive
 from evetac_cli.sim.setup.plan import Plan
+from evetac_cli.sim.setup.scene import VanishingDots
 
 SHORT = (("lift_s", 0.3), ("balance_s", 0.1))
 HELD: Mapping[str, Any] = {"lifted": True, "balanced": True, "moved_mm": 1.0}
@@ -91,11 +92,10 @@ def test_a_grasp_that_breaks_off_lets_go(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_refusals_are_ok() -> None:
     """Assert that a case whose plan cannot be simulated is ok, and says why."""
 
-    def without_mass(usual: Plan) -> Plan:
-        assert usual.touched is not None
-        return replace(usual, touched=replace(usual.touched, mass_g=-1.0))
+    def without_a_dot(usual: Plan) -> Plan:
+        return replace(usual, scene=replace(usual.scene, vanishing_dots=VanishingDots(dots=((90, 0),), at_s=1.0)))
 
-    (row,) = grasp_rows(GraspCase("object of -1 g", without_mass, timing=SHORT), "paper", 0)
+    (row,) = grasp_rows(GraspCase("a dot that the gel does not have", without_a_dot, timing=SHORT), "paper", 0)
     assert row["ok"]
     assert row["outcome"].startswith("refused: ")
 
