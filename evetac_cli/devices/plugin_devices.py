@@ -164,6 +164,11 @@ class _Maker:
             self._counts = self._counts if counts_fault(counts) else counts
         return self._counts
 
+    def check_counts(self, device: EventCamera | Gripper) -> None:
+        """DeviceError for losses that are not valid."""
+        fault = self.ask("counted", lambda: counts_fault(device.counted))
+        self.require(fault, "reports invalid losses", "whole numbers by name")
+
 
 class CheckedCamera:
     """The open camera of a plug-in; DeviceError, which names the plug-in, for anything but valid slices and times."""
@@ -207,8 +212,7 @@ class CheckedCamera:
             raise self._maker.fault(f"returned an invalid slice {self._slices}", expected, fault)
         self._slices += 1
         if self._slices % CLOCK_SLICES == 0:
-            fault = self._maker.ask("counted", lambda: counts_fault(self._camera.counted))
-            self._maker.require(fault, "reports invalid losses", "whole numbers by name")
+            self._maker.check_counts(self._camera)
             fault = self._maker.ask("now_us", clock_fault, self._camera, self._slices, self._now_us)
             self._maker.require(fault, "has an invalid clock", "slices in real time, and device time that passes")
         return events
@@ -248,6 +252,7 @@ class CheckedGripper:
         reading = self._maker.ask("read", self._gripper.read)
         expected = "a finite current in mA, and a position of {} to {} ticks".format(*POSITIONS_TICKS)
         self._maker.require(reading_fault(reading), "returned an invalid reading", expected)
+        self._maker.check_counts(self._gripper)
         return reading
 
     def write_current(self, current_ma: int) -> None:

@@ -142,11 +142,15 @@ class BadGripper(StillGripper):
 
     def read(self) -> Any:
         self.readings += 1
-        if self.readings <= self.good or self.fault in ("", "close"):
+        if self.readings <= self.good or self.fault in ("", "close", "losses"):
             return GripperReading(0.0, 400)
         if self.fault == "raises":
             raise ValueError("no checksum")
         return READINGS[self.fault][0]
+
+    @property
+    def counted(self) -> Any:  # type: ignore[override]
+        return {"late_readings": math.nan if self.fault == "losses" and self.readings > self.good else 0}
 
     def close(self) -> None:
         if self.fault == "close":
@@ -246,14 +250,21 @@ def test_clock_losses_and_close(
     assert said in words
 
 
-@pytest.mark.parametrize("fault", [*READINGS, "raises"])
-def test_record_names_the_gripper(bad: None, tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: str) -> None:
-    """Assert that an invalid reading ends a recording, with torque off and no row of it in the file."""
+WORDS = {fault: words for fault, (_, words) in READINGS.items()} | {
+    "raises": "no checksum",
+    "losses": "nan for 'late_readings'",
+}
+
+
+@pytest.mark.parametrize(("fault", "words"), WORDS.items(), ids=WORDS)
+def test_record_names_the_gripper(
+    bad: None, tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: str, words: str
+) -> None:
+    """Assert that an invalid reading or loss ends a recording, with torque off and no row of it in the file."""
     path = tmp_path / "a.recording.h5"
     code, said = record(path, "bad", capsys, "--gripper", f"hand:{fault}")
     assert code == 3
     assert "the plug-in gripper hand of lab " in said
-    words = READINGS[fault][1] if fault in READINGS else "no checksum"
     assert words in said
     assert "torque is off (read back)" in said
     with StageFile(path, "recording") as file:
