@@ -2,6 +2,7 @@
 
     python scripts/attack/kill_grasps.py --kills 40 --stops 20 -o kills.jsonl          # of grasps, on a quiet machine
     python scripts/attack/kill_grasps.py --kills 40 --stops 20 -o kills.jsonl --json   # the same as one JSON object
+    python scripts/attack/kill_grasps.py --kills 40 --stops 20 --commands two-fingers  # of grasps with two cameras
     python scripts/attack/kill_grasps.py --kills 10 --stops 0 --commands grasp record --watchdog-ms 100 --busy 4
 
 The commands are real ones, with a camera that plays prepared words and a gripper at a port. At the other end of the
@@ -25,6 +26,7 @@ import argparse
 import contextlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -45,7 +47,12 @@ WORDS_S = 5.0  # limit after that, for a command to end by itself
 SETTLED_S = 0.3  # without current for this long, the motor counts as off
 LONGEST_S = 60.0  # limit for a command
 LOOP = ("--controller", "paper", "--model", "shipped")
-PARTS = ("recorder", "detector", "controller")
+# The processes of each command, in the order of their start.
+PARTS = {
+    "grasp": ("recorder", "detector", "controller"),
+    "two-fingers": ("recorder", "detector", "second detector", "controller"),
+    "record": ("recorder",),
+}
 TICK_S = 1e-3  # of the servo; a real servo is not slower
 SERVO_PRIORITY, CLOSE_MA = 40, 0.5
 BUSY = "while True: pass"
@@ -188,27 +195,26 @@ def command_line(name: str, port: str, watchdog_ms: int, folder: Path) -> list[s
         x, y = np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0)
         dots = np.stack([x, y], axis=-1).tolist()
         grid.write_text(json.dumps({"frame_px": [640, 480], "radius_px": 11.0, "dot_xy_px": dots}))
-    common = ["--camera", "virtual:prepared=10000", "--gripper", port, "--arm", "--watchdog-ms", str(watchdog_ms)]
-    more = {
-        "grasp": ["--calibration", str(grid), *LOOP, "--lift-s", "1", "--balance-s", "0"],
-        "record": ["--seconds", "1.5", "--expected-event-rate", "1e5"],
-    }[name]
-    out = folder / f"{name}.recording.h5"
-    return [sys.executable, "-P", "-m", "evetac_cli", name, *common, *more, "-q", "--force", "-o", str(out)]
+    cameras = ",".join(["virtual:prepared=10000"] * (2 if name == "two-fingers" else 1))
+    more = ["--calibration", str(grid), *LOOP, "--lift-s", "1", "--balance-s", "0"]
+    if name == "record":
+        more = ["--seconds", "1.5", "--expected-event-rate", "1e5"]
+    command = [sys.executable, "-P", "-m", "evetac_cli", "record" if name == "record" else "grasp", *more]
+    devices = ["--camera", cameras, "--gripper", port, "--arm", "--watchdog-ms", str(watchdog_ms)]
+    out = folder / ("recordings" if name == "two-fingers" else "one.recording.h5")
+    return [*command, *devices, "-q", "--force", "-o", str(out)]
 
 
 def clear(folder: Path) -> None:
     """Remove the files of an earlier trial."""
-    for path in sorted(folder.glob("*.recording*"), reverse=True):
+    for path in folder.glob("*recording*"):
         if path.is_dir():
-            for file in path.iterdir():
-                file.unlink()
-            path.rmdir()
+            shutil.rmtree(path)
         else:
             path.unlink()
 
 
-def processes_of(recorder: int) -> dict[str, int]:
+def processes_of(name: str, recorder: int) -> dict[str, int]:
     """Return the running processes of a command, by their role."""
     children: list[str] = []
     with contextlib.suppress(OSError):  # it has ended
@@ -219,7 +225,7 @@ def processes_of(recorder: int) -> dict[str, int]:
         with contextlib.suppress(OSError):
             if "multiprocessing-fork" in Path(f"/proc/{pid}/cmdline").read_text():
                 spawned.append(int(pid))
-    return dict(zip(PARTS, (recorder, *sorted(spawned)), strict=False))
+    return dict(zip(PARTS[name], (recorder, *sorted(spawned)), strict=False))
 
 
 def lives_s(name: str, servo: Servo, watchdog_ms: int, folder: Path) -> tuple[float, float]:
@@ -261,8 +267,8 @@ def one(
         while since == "current" and not servo.spans(began_s) and run.poll() is None:
             time.sleep(0.002)
         time.sleep(after_s)
-        processes = processes_of(run.pid)
-        struck = part if part in processes else PARTS[0]
+        processes = processes_of(name, run.pid)
+        struck = part if part in processes else "recorder"
         ended_before = run.poll() is not None
         struck_s = time.monotonic()
         if not ended_before:
@@ -278,7 +284,7 @@ def one(
             time.sleep(STOPPED_S)
             with contextlib.suppress(subprocess.TimeoutExpired):  # for its messages
                 run.wait(WORDS_S)
-        elif struck == PARTS[0]:
+        elif struck == "recorder":
             servo.wait_without_current()
         else:
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -343,7 +349,7 @@ def strike(plan: dict[str, Any], servo: Servo, lives: tuple[float, float], folde
     """Run one trial; its time and its process are drawn from the seed, the trial's number and its kind."""
     name, how, since = plan["command"], plan["how"], plan["since"]
     rng = np.random.default_rng([plan["seed"], plan["trial"], how == "stop"])
-    part = PARTS[rng.integers(3)] if name == "grasp" else PARTS[0]
+    part = PARTS[name][rng.integers(len(PARTS[name]))]
     after_s = float(rng.uniform(0.0, lives[since == "current"] + SETTLED_S))
     return {**plan, **one(name, part, since, after_s, how, plan["watchdog_ms"], servo, folder)}
 
@@ -358,7 +364,7 @@ def main() -> None:
     )
     parser.add_argument("--kills", type=int, default=20, help="number of processes to kill")
     parser.add_argument("--stops", type=int, default=0, help="number of processes to stop for a second")
-    parser.add_argument("--commands", nargs="+", choices=("grasp", "record"), default=["grasp"])
+    parser.add_argument("--commands", nargs="+", choices=PARTS, default=["grasp"])
     parser.add_argument("--watchdog-ms", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--busy", type=int, default=0, help="number of busy loops that run at the same time")
