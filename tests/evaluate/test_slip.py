@@ -129,13 +129,17 @@ def test_seeds_are_one_setting(world: dict[str, Any], tmp_path: Path) -> None:
 
 
 def test_every_object_counts_the_same(world: dict[str, Any], tmp_path: Path) -> None:
-    """Assert that a setting's figures are the means of its objects' rows, however many trajectories each has."""
+    """Assert that a setting's figures are the means of its objects' rows, however many trajectories each has.
+
+    The interval of F1 resamples the objects, after the mean over seeds: it spans those of two objects.
+    """
     files = [world["known"][0], *world["unseen"], *world["seeds"]]
     rows, _ = evaluated(files, tmp_path)
     (setting,), objects = table_of(rows, "seeds"), [row for row in table_of(rows, "object", "file") if "f1" in row]
     assert [(row["object"], row["trajectories"]) for row in objects] == [("1", 1), ("10", 2)]
     for figure in ("slip_early", "slip_correct", "slip_late", "f1"):
         assert setting[figure] == pytest.approx(np.mean([row[figure] for row in objects]))
+    assert (setting["f1_low"], setting["f1_high"]) == pytest.approx(sorted(row["f1"] for row in objects))
 
 
 def test_ahead_shifts_f1_and_not_timing(world: dict[str, Any], tmp_path: Path) -> None:
