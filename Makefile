@@ -17,6 +17,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 ALL := $(VENV)/.ready-to-develop
+KERNELS := $(VENV)/.compiled
 # Extras for the commands of README and the first hour; setup-all installs the others.
 USED := plot,convert
 EVERY := camera,cluster,convert,plot,robot,dev,docs
@@ -44,67 +45,73 @@ unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := help
 .PHONY: help setup setup-all experiments demo strips true-slip-share paper-recipe \
 	ship tracking vibration data-rate force grasp-table part-effects \
-	blind-identification force-sensors touch-cost mujoco-grasps lift-baseline results film test test-all test-lowest lerobot check lint types docs bench benchmark profile clean
+	blind-identification force-sensors touch-cost mujoco-grasps lift-baseline results film test test-alone test-all test-lowest lerobot check lint types docs bench benchmark profile clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
 
-setup: $(READY)  ## make a virtual environment in .venv for README's commands, and compile the kernels (TORCH_INDEX)
+setup: $(KERNELS)  ## make a virtual environment in .venv for README's commands, and compile the kernels (TORCH_INDEX)
 
 setup-all: $(ALL)  ## ... with all extras and all packages for tests, checks and documentation
+	@$(COMPILE)
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	@echo 'installing evetac with the extra [$(USED)] into $(VENV)'
 	@$(INSTALL) '.[$(USED)]' | $(SAYING)
-	$(BIN)/evetac doctor --compile
 	@touch $@
+
+# What needs all extras compiles in its recipe, since nothing may be installed meanwhile.
+COMPILE = test -e $(KERNELS) || { $(BIN)/evetac doctor --compile && touch $(KERNELS); }
+
+$(KERNELS): $(READY)
+	@$(COMPILE)
 
 $(ALL): $(READY)
 	@echo 'installing all extras and the packages for tests, checks and documentation, [$(EVERY)], into $(VENV)'
 	@$(INSTALL) '.[$(EVERY)]' | $(SAYING)
 	@touch $@
 
-experiments: $(READY)  ## list the experiments with their sizes
+experiments: $(KERNELS)  ## list the experiments with their sizes
 	@$(REPRODUCE) --list
 
-demo: $(READY)  ## all steps from touch to grasp on a simulated sensor, in one to four minutes; results in demo/ (SIZES, JOBS)
+demo: $(KERNELS)  ## all steps from touch to grasp on a simulated sensor, in one to four minutes; results in demo/ (SIZES, JOBS)
 	@$(REPRODUCE) --only $@
 
-true-slip-share: $(READY)  ## measure the benefit of training on the true slipping share of the contact
+true-slip-share: $(KERNELS)  ## measure the benefit of training on the true slipping share of the contact
 	@$(REPRODUCE) --only $@
 
-paper-recipe: $(READY)  ## train and evaluate slip detectors by the paper's recipe, and with one change at a time
+paper-recipe: $(KERNELS)  ## train and evaluate slip detectors by the paper's recipe, and with one change at a time
 	@$(REPRODUCE) --only $@
 
-ship: $(READY)  ## train the pretrained slip detector on many motions, sensors and objects, and put it into the package
+ship: $(KERNELS)  ## train the pretrained slip detector on many motions, sensors and objects, and put it into the package
 	@$(REPRODUCE) --only $@
 
-tracking: $(READY)  ## compare tracker presets on edges, slip and shear
+tracking: $(KERNELS)  ## compare tracker presets on edges, slip and shear
 	@$(REPRODUCE) --only $@
 
-vibration: $(READY)  ## measure the vibration frequency of the gel
+vibration: $(KERNELS)  ## measure the vibration frequency of the gel
 	@$(REPRODUCE) --only $@
 
-data-rate: $(READY)  ## compare bytes per second with an RGB sensor
+data-rate: $(KERNELS)  ## compare bytes per second with an RGB sensor
 	@$(REPRODUCE) --only $@
 
-force: $(READY)  ## estimate shear force from dots in events and in frames
+force: $(KERNELS)  ## estimate shear force from dots in events and in frames
 	@$(REPRODUCE) --only $@
 
-grasp-table: $(READY)  ## compare all controllers in lifting and balancing by feel
+grasp-table: $(KERNELS)  ## compare all controllers in lifting and balancing by feel
 	@$(REPRODUCE) --only $@
 
-part-effects: $(READY)  ## measure the effect of each part of a sensor or a scene on each stage
+part-effects: $(KERNELS)  ## measure the effect of each part of a sensor or a scene on each stage
 	@$(REPRODUCE) --only $@
 
-blind-identification: $(READY)  ## test whether identify recovers unseen sensors
+blind-identification: $(KERNELS)  ## test whether identify recovers unseen sensors
 	@$(REPRODUCE) --only $@
 
-force-sensors: $(READY)  ## ... evaluate forces from touch maps of these sensors
+force-sensors: $(KERNELS)  ## ... evaluate forces from touch maps of these sensors
 	@$(REPRODUCE) --only $@
 
-touch-cost: $(READY)  ## measure the cost of a step of the touch sensor
+touch-cost: $(KERNELS)  ## measure the cost of a step of the touch sensor
 	@$(REPRODUCE) --only $@
 
 mujoco-grasps: $(ALL)  ## grasp in MuJoCo with evetac's touch sensor
@@ -113,14 +120,14 @@ mujoco-grasps: $(ALL)  ## grasp in MuJoCo with evetac's touch sensor
 lift-baseline: $(ALL)  ## compare a grip law found by CMA-ES with fixed grips
 	@$(REPRODUCE) --only $@
 
-strips: $(READY)  ## draw every scene, in strips/: events, forces and slip
+strips: $(KERNELS)  ## draw every scene, in strips/: events, forces and slip
 	@$(REPRODUCE) --only $@
 
-film: $(READY)  ## make the short film of a catch, docs/catch.gif
+film: $(KERNELS)  ## make the short film of a catch, docs/catch.gif
 	@$(REPRODUCE) --only $@
 	cp $(if $(SMALL),small/)film/catch.gif docs/catch.gif
 
-results: $(READY)  ## write the tables in docs/results/ into README and docs
+results: $(KERNELS)  ## write the tables in docs/results/ into README and docs
 	$(BIN)/python scripts/paper_rows.py
 	$(BIN)/python scripts/results.py
 
@@ -128,9 +135,14 @@ results: $(READY)  ## write the tables in docs/results/ into README and docs
 ONE_THREAD := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 MKL_NUM_THREADS=1
 
 test: $(ALL)  ## run the test suite; installs missing packages first
+	@$(COMPILE)
 	$(ONE_THREAD) $(BIN)/python -m pytest --numprocesses 3 --dist loadfile -m 'not slow'
 
+test-alone: $(ALL)  ## run the tests that want files from outside the repository, without these
+	EVETAC_OUTSIDE_FILES=/nonexistent $(BIN)/python -m pytest --numprocesses 0 -m 'outside and not slow'
+
 test-all: $(ALL)  ## run the test suite with its longer cases
+	@$(COMPILE)
 	$(ONE_THREAD) $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
 test-lowest: $(LOWEST)/.ready  ## run the test suite with the lowest versions that pyproject.toml allows, in .venv-lowest
@@ -168,13 +180,13 @@ docs: $(ALL)  ## build the documentation, site/index.html, with the reference pa
 	$(BIN)/python scripts/docs/check_site.py
 	@echo 'open site/index.html; its search needs a server: python3 -m http.server --bind 127.0.0.1 --directory site'
 
-benchmark: $(READY)  ## make evetac-bench, the benchmark that can be given away, in bench-small/ (SIZE=full, JOBS)
+benchmark: $(KERNELS)  ## make evetac-bench, the benchmark that can be given away, in bench-small/ (SIZE=full, JOBS)
 	$(BIN)/python scripts/benchmark.py make --size $(SIZE) --out bench-$(SIZE) --jobs $(JOBS)
 
-bench: $(READY)  ## compare kernel run times in one run: with real time, other methods, or a commit (BASE)
+bench: $(KERNELS)  ## compare kernel run times in one run: with real time, other methods, or a commit (BASE)
 	$(BIN)/python scripts/bench.py $(if $(BASE),--against $(BASE))
 
-profile: $(READY)  ## measure each stage: processor time, memory and bytes per trial, and start-up (COSTS, for JSON)
+profile: $(KERNELS)  ## measure each stage: processor time, memory and bytes per trial, and start-up (COSTS, for JSON)
 	$(BIN)/python scripts/stage_costs.py $(if $(COSTS),-o $(COSTS))
 
 clean:  ## remove files from demo, tests and builds; keep the environment

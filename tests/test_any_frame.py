@@ -15,7 +15,8 @@ from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.store.files import StageFile, header_of
 from tests.make import answer_of, evetac
 
-FRAMES = [(346, 260), (320, 320), (640, 480), (1280, 720), (480, 640)]
+FRAMES = [(346, 260), (320, 320), (480, 640)]
+LARGE = [(640, 480), (1280, 720)]  # slow, because they take 17 s, and the other tests have 640 x 480
 RADIUS_PX, BORDER_PX, WINDOW_PX = 10.0, 18, 60  # the last column's rims come as near as 4 px to the border
 SLICES, MOVES, SLIPS, FAR_PX = 560, 200, 400, 4.0  # the dots move by FAR_PX from MOVES to SLIPS
 TEXTURE = 500.0  # events per pixel of the object's motion, in the window
@@ -56,7 +57,11 @@ def write_events(path: Path, frame_px: tuple[int, int], dots: NDArray[np.float64
     return places[1:] - rest
 
 
-@pytest.mark.parametrize("frame_px", FRAMES, ids=lambda frame: "{} x {}".format(*frame))
+@pytest.mark.parametrize(
+    "frame_px",
+    [*FRAMES, *(pytest.param(each, marks=pytest.mark.slow) for each in LARGE)],
+    ids=lambda frame: "{} x {}".format(*frame),
+)
 def test_any_frame(tmp_path: Path, frame_px: tuple[int, int]) -> None:
     """Assert that every column is tracked to 0.2 px, at the border as well, and that the other stages know the frame.
 

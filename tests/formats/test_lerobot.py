@@ -181,7 +181,7 @@ def test_what_is_not_known_holds_its_last_value() -> None:
     assert episodes.last_known(values).tolist() == [[0, 1], [2, 1], [2, 1], [5, 7]]
 
 
-@pytest.mark.parametrize("count", [2, 5, 20])
+@pytest.mark.parametrize("count", [2, 5, pytest.param(20, marks=pytest.mark.slow)])  # as 5, and takes 10 s
 def test_statistics_of_the_training_episodes_are_numpys(
     count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
