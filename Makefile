@@ -162,13 +162,12 @@ lerobot:  ## make environments with LeRobot 0.6.1 (LEROBOT_PYTHON) and 0.4.4 for
 	$(PYTHON) -m venv --clear $(LEROBOT)-0.4.4
 	$(LEROBOT)-0.4.4/bin/python -m pip install --quiet --disable-pip-version-check lerobot==0.4.4 torch==2.7.1 torchvision==0.22.1
 
-check: $(ALL)  ## run ruff, wording.py, check_citation.py, mypy --strict and the documentation build in parallel
+check: $(ALL)  ## run ruff, check_citation.py, mypy --strict and the documentation build in parallel
 	@$(MAKE) --no-print-directory --jobs 3 --output-sync=target lint types docs
 
 lint: $(ALL)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/python scripts/docs/wording.py --check
 	$(BIN)/python scripts/docs/check_citation.py
 
 types: $(ALL)

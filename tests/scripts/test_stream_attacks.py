@@ -17,6 +17,12 @@ EVENTS_S = 100_000
 QUICK = ("random@0:600", "torn@0.5", "jump-forward@0.5", "jump-back@0.5", "silence@0.5:0.3")
 
 
+@pytest.fixture(scope="module", autouse=True)
+def compiled() -> None:
+    """The driver's kernels are compiled: a camera does not wait for that."""
+    attack(ATTACKS[0], 0.01, EVENTS_S)
+
+
 @pytest.mark.parametrize(
     "attacked",
     [pytest.param(each, id=each.fault, marks=() if each.fault in QUICK else pytest.mark.slow) for each in ATTACKS],
