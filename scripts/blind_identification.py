@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.console import print_table
 from evetac_cli.errors import EvetacError, InputError
-from evetac_cli.evaluate import realism
+from evetac_cli.evaluate.realism import measure as realism
 from evetac_cli.jobs import Row
 from evetac_cli.sim import gripper
 from evetac_cli.sim.camera.gel_camera import Lens, dot_grid

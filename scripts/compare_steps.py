@@ -35,9 +35,9 @@ import numpy as np
 
 from evetac_cli.arrays import Flags
 from evetac_cli.console import show
+from evetac_cli.evaluate.common.rows import ConfidenceInterval, SolverSetting, finite_or_none, share_difference
 from evetac_cli.evaluate.cost.pipeline import ChainTrial, run_chain, run_grasp, slip_trial
-from evetac_cli.evaluate.labels import EARLIEST_MS, LATEST_MS, true_onsets
-from evetac_cli.evaluate.rows import ConfidenceInterval, SolverSetting, finite_or_none, share_difference
+from evetac_cli.evaluate.labels.measure import EARLIEST_MS, LATEST_MS, true_onsets
 from evetac_cli.jobs import Row
 from evetac_cli.kernels import estimates
 from evetac_cli.kernels.slip import metrics

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from experiment_steps import DATA_RATE_OBJECTS, ROBUST_SETTINGS, TRACKING_SCENES
 
-from evetac_cli.evaluate.paper import COLUMNS, FIGURES, value_of
+from evetac_cli.evaluate.common.paper import COLUMNS, FIGURES, value_of
 from evetac_cli.jobs import Row, Rows
 
 

@@ -15,8 +15,9 @@ from pathlib import Path
 from script_rows import rows_in, seeds_of
 from script_tables import RESULTS, table_of, write
 
-from evetac_cli.evaluate import grip_forces, picture
-from evetac_cli.evaluate.grip_forces import CLASSES_G, firmness
+from evetac_cli.evaluate.common import picture
+from evetac_cli.evaluate.grasp import grip_forces
+from evetac_cli.evaluate.grasp.grip_forces import CLASSES_G, firmness
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels.estimates import share
 

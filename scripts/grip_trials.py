@@ -37,7 +37,7 @@ from script_rows import add_rows, rows_in, seeds_of
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.devices import Rig
 from evetac_cli.devices.simulated import SimulatedGripper, rig
-from evetac_cli.evaluate.grip_forces import firmness
+from evetac_cli.evaluate.grasp.grip_forces import firmness
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels.grip.control import Control, uses_detector
 from evetac_cli.resources import SHIPPED

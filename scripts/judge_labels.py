@@ -25,7 +25,7 @@ from script_tables import RESULTS, table_of, write
 
 from evetac_cli.commands.label import Label
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.labels import is_near, judged, summary, true_onsets
+from evetac_cli.evaluate.labels.measure import is_near, judged, summary, true_onsets
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.estimates import Estimate, cluster_weights, ratio_of_clusters
 from evetac_cli.stages import label

@@ -34,7 +34,7 @@ from slip_trials import Scores, planned_on
 from train_detectors import run
 
 from evetac_cli.errors import SceneError
-from evetac_cli.evaluate.slip_models import Model
+from evetac_cli.evaluate.slip.models import Model
 from evetac_cli.jobs import Row, silent
 from evetac_cli.stages.train import FEWEST_VALIDATED_ON
 from evetac_cli.store.files import StageFile

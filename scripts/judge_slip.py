@@ -22,8 +22,8 @@ from script_tables import RESULTS, models_in_words, write
 from seen_trials import seen
 from slip_trials import Scores, planned_at
 
-from evetac_cli.evaluate.slip_models import Model
-from evetac_cli.evaluate.slip_warnings import RULES
+from evetac_cli.evaluate.slip.models import Model
+from evetac_cli.evaluate.slip.warnings import RULES
 
 MOST_TRIALS = 100_000
 

@@ -32,7 +32,7 @@ from seen_trials import Seen
 from sticking_trials import AFTER_MS, HIGH, LOW, Looks
 
 from evetac_cli.arrays import Flags, Floats, Singles
-from evetac_cli.evaluate.slip_warnings import begins
+from evetac_cli.evaluate.slip.warnings import begins
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.touch.rest import BLOCK_MS
 from evetac_cli.kernels.touch.sticking import ALARM, PATIENCE

@@ -12,8 +12,8 @@ from experiment_tables import Column, Evaluation, Table
 from report_facts import facts, methods, words_for
 from results import fill, keys
 
-from evetac_cli.evaluate import paper
-from evetac_cli.evaluate.source import Source
+from evetac_cli.evaluate.common import paper
+from evetac_cli.evaluate.common.source import Source
 from evetac_cli.jobs import Row, Rows
 
 ROOT = Path(__file__).resolve().parents[1]

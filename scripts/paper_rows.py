@@ -5,7 +5,7 @@
 
 `scripts/paper-rows.json` has a row for every statement of the paper. A figure names the table of docs/results, the row
 and the field with evetac's figure; a method names the module and the test that show it. What can be computed is
-computed here from the tables and from evetac_cli/evaluate/paper.py, and a test compares it with what is written.
+computed here from the tables and from evetac_cli/evaluate/common/paper.py, and a test compares it with what is written.
 
 The verdict of a figure is the first of these that applies:
 
@@ -30,8 +30,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from evetac_cli.evaluate import paper
-from evetac_cli.evaluate.source import Source
+from evetac_cli.evaluate.common import paper
+from evetac_cli.evaluate.common.source import Source
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels import estimates
 

@@ -51,7 +51,7 @@ from evetac_cli.evaluate.cost.pipeline import (
     prediction,
     timed,
 )
-from evetac_cli.evaluate.labels import EARLIEST_MS, LATEST_MS
+from evetac_cli.evaluate.labels.measure import EARLIEST_MS, LATEST_MS
 from evetac_cli.jobs import Row, silent
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.kernels.slip.metrics import shift_labels

@@ -10,7 +10,7 @@ the number of frozen files that have changed since.
 
 A result file has flat rows and describes how to show them. `columns` lists a heading and a cell for each column, as
 Python format strings over a row. If rows are spread over columns, `across` describes one column for each distinct
-heading. A figure from the paper is shown in brackets with its mark. Both come from evetac_cli/evaluate/paper.py, for
+heading. A figure from the paper is shown in brackets with its mark. Both come from evetac_cli/evaluate, for
 the row and the `source` of its table. `methods` lists the method version of each command that made the data. Versions
 that have changed since are listed above the table.
 """
@@ -34,8 +34,8 @@ import run_facts
 from summary_rows import SUMMARY
 
 from evetac_cli.commands import WITH_CONFIG
-from evetac_cli.evaluate import paper
-from evetac_cli.evaluate.source import Source
+from evetac_cli.evaluate.common import paper
+from evetac_cli.evaluate.common.source import Source
 from evetac_cli.jobs import Row
 
 Result = dict[str, Any]

@@ -12,7 +12,7 @@ from motions import Planned, Trial
 from slip_trials import Scores
 
 from evetac_cli.arrays import Floats, Singles
-from evetac_cli.evaluate.slip_models import Model
+from evetac_cli.evaluate.slip.models import Model
 from evetac_cli.events import Events
 from evetac_cli.kernels.slip import features, inputs
 from evetac_cli.kernels.slip.architectures import Architecture, DotArchitecture, sensitivity_of

@@ -7,7 +7,7 @@ They come from the same reports of `evaluate slip` as the table of the paper's r
 import numpy as np
 from experiment_tables import Column, Evaluations, Table, having
 
-from evetac_cli.evaluate.slip_tables import TIMING_BINS
+from evetac_cli.evaluate.slip.tables import TIMING_BINS
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels import estimates
 
@@ -74,7 +74,7 @@ def timing_rows(evaluations: Evaluations) -> Rows:
 
 def setting_share(bin_: str, object_: str) -> float | None:
     """Return the paper's share of first detections in a bin, over all objects; None if it has none."""
-    from evetac_cli.evaluate import paper
+    from evetac_cli.evaluate.common import paper
 
     return paper.value(bin_, "unseen", MODEL, HORIZON_MS) if object_ == ALL else None
 

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from script_tables import table_of
 from slip_trials import SLIPS, THRESHOLDS
 
-from evetac_cli.evaluate.slip_warnings import AFTER_MS, BEFORE_MS, FOLLOWS_MS, RULES
-from evetac_cli.evaluate.slip_warnings import SLIPS as SLIP_SHARE
+from evetac_cli.evaluate.slip.warnings import AFTER_MS, BEFORE_MS, FOLLOWS_MS, RULES
+from evetac_cli.evaluate.slip.warnings import SLIPS as SLIP_SHARE
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.estimates import Estimate, cluster_weights, ratio_of_clusters
 from evetac_cli.kernels.slip.alarms import ALARM_SLICES, LEADS_MS

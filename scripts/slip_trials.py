@@ -17,8 +17,8 @@ from script_rows import add_rows, rows_in
 
 from evetac_cli.arrays import Singles
 from evetac_cli.errors import SceneError
-from evetac_cli.evaluate import slip_warnings
-from evetac_cli.evaluate.slip_warnings import RULES
+from evetac_cli.evaluate.slip import warnings as slip_warnings
+from evetac_cli.evaluate.slip.warnings import RULES
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.slip import alarms, metrics
 from evetac_cli.kernels.slip.metrics import F1_CUT_MS, is_slip, shift_labels

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from evetac_cli.evaluate import paper
+from evetac_cli.evaluate.common import paper
 from evetac_cli.jobs import Row
 
 

@@ -139,7 +139,7 @@ def force_trials(evaluations: Evaluations) -> Rows:
 
 def grasp_trials(evaluations: Evaluations) -> Rows:
     """Return a row per grasp with its setting without gain, as the table has it; the unit is the object."""
-    from evetac_cli.evaluate.grasp import without_gain
+    from evetac_cli.evaluate.grasp.measure import without_gain
 
     rows = []
     for name, evaluation in evaluations.items():

@@ -18,7 +18,7 @@ from evetac_cli.commands.track import Track
 from evetac_cli.commands.train import Train
 from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import force as evaluate_force
+from evetac_cli.evaluate.force import measure as evaluate_force
 from evetac_cli.inspect import info
 from evetac_cli.resources import SCENES
 from evetac_cli.stages import calibrate, featurize, label, track, train

@@ -16,7 +16,7 @@ import pytest
 import typer
 
 from evetac_cli.cli.main import app
-from evetac_cli.evaluate.paper import MARKS
+from evetac_cli.evaluate.common.paper import MARKS
 from evetac_cli.store.layout import schema
 from evetac_cli.trials.record import simulated
 

@@ -17,9 +17,9 @@ from evetac_cli.commands.evaluate import EvaluateCost, EvaluateSlip
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import slip
 from evetac_cli.evaluate.benchmark import own_methods
 from evetac_cli.evaluate.cost import command as cost
+from evetac_cli.evaluate.slip import measure as slip
 from evetac_cli.resources import MODEL, SHIPPED, model_file, with_shipped
 from evetac_cli.stages import train
 from evetac_cli.trials.grasp.settings import GraspSettings

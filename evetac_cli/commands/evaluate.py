@@ -275,7 +275,7 @@ COMMANDS = (
     Command(
         "slip",
         EvaluateSlip,
-        "evaluate.slip",
+        "evaluate.slip.measure",
         "Labelled features not used in training.",
         kind="features",
         unit="files",
@@ -288,7 +288,7 @@ COMMANDS = (
     Command(
         "vibration",
         EvaluateVibration,
-        "evaluate.vibration",
+        "evaluate.vibration.measure",
         "Recordings.",
         unit="ms",
         examples=("evetac evaluate vibration tones", "evetac evaluate vibration own.recording.h5 --true-hz 300"),
@@ -296,7 +296,7 @@ COMMANDS = (
     Command(
         "data-rate",
         EvaluateDataRate,
-        "evaluate.data_rate",
+        "evaluate.data_rate.measure",
         "Recordings.",
         unit="files",
         examples=("evetac evaluate data-rate data",),
@@ -304,7 +304,7 @@ COMMANDS = (
     Command(
         "labels",
         EvaluateLabels,
-        "evaluate.labels",
+        "evaluate.labels.measure",
         "Labels of simulated recordings.",
         kind="labels",
         unit="files",
@@ -313,7 +313,7 @@ COMMANDS = (
     Command(
         "tracking",
         EvaluateTracking,
-        "evaluate.tracking",
+        "evaluate.tracking.measure",
         "Tracks made with one or more presets.",
         kind="tracks",
         unit="files",
@@ -322,7 +322,7 @@ COMMANDS = (
     Command(
         "grasp",
         EvaluateGrasp,
-        "evaluate.grasp",
+        "evaluate.grasp.measure",
         "Recordings made by grasp.",
         unit="files",
         examples=("evetac evaluate grasp grasps",),
@@ -330,7 +330,7 @@ COMMANDS = (
     Command(
         "force",
         EvaluateForce,
-        "evaluate.force",
+        "evaluate.force.measure",
         "Tracks of simulated shear recordings.",
         kind="tracks",
         unit="files",
@@ -339,7 +339,7 @@ COMMANDS = (
     Command(
         "realism",
         EvaluateRealism,
-        "evaluate.realism",
+        "evaluate.realism.measure",
         "A real recording, then a simulated one.",
         unit="files",
         examples=("evetac evaluate realism real.recording.h5 simulated.recording.h5",),

@@ -12,7 +12,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from evetac_cli.evaluate import picture
+from evetac_cli.evaluate.common import picture
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.kernels.event_representation import event_image
 from evetac_cli.sim.setup.scene_file import changed

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.evaluate.slip_models import Model
+from evetac_cli.evaluate.slip.models import Model
 from evetac_cli.resources import MODEL
 from evetac_cli.stages.model_files import read_curve
 from evetac_cli.store.files import StageFile, put_header, replacing

@@ -326,7 +326,7 @@ def test_what_people_see_and_its_verdict(monkeypatch: pytest.MonkeyPatch, files:
         cautions=lambda jobs, chosen: ["few files"],
         warnings=lambda rows: [f"too coarse in {len(rows)}"],
     )
-    monkeypatch.setitem(sys.modules, "evetac_cli.evaluate.slip", stage)
+    monkeypatch.setitem(sys.modules, "evetac_cli.evaluate.slip.measure", stage)
     result = evetac("evaluate", "slip", *files)
     assert result.stdout.splitlines()[-2:] == ["count: 2", "early in 1 of 2"]
     assert result.stderr.splitlines()[0] == "note: few files"

@@ -9,8 +9,12 @@ import pytest
 
 from evetac_cli.commands import evaluate as flags
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import data_rate, grasp, realism, slip, vibration
 from evetac_cli.evaluate.cost import command as cost
+from evetac_cli.evaluate.data_rate import measure as data_rate
+from evetac_cli.evaluate.grasp import measure as grasp
+from evetac_cli.evaluate.realism import measure as realism
+from evetac_cli.evaluate.slip import measure as slip
+from evetac_cli.evaluate.vibration import measure as vibration
 from tests.make import event_arrays, events_at, run_stage, write_recording
 
 SLICES = {"a": 300, "b": 1000, "short": 50, "empty": 0}

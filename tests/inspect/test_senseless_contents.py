@@ -20,9 +20,9 @@ from evetac_cli.commands.track import Track
 from evetac_cli.commands.track_rgb import TrackRgb
 from evetac_cli.commands.trim import Trim
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import labels as evaluate_labels
-from evetac_cli.evaluate import slip as evaluate_slip
-from evetac_cli.evaluate import tracking as evaluate_tracking
+from evetac_cli.evaluate.labels import measure as evaluate_labels
+from evetac_cli.evaluate.slip import measure as evaluate_slip
+from evetac_cli.evaluate.tracking import measure as evaluate_tracking
 from evetac_cli.inspect import validate
 from evetac_cli.stages import featurize, label, track, track_rgb, trim
 from evetac_cli.stages.touch import predict_touch

@@ -12,7 +12,7 @@ import motions
 from motions import Planned, Trial
 from slip_trials import Scores
 
-from evetac_cli.evaluate.slip_models import Model
+from evetac_cli.evaluate.slip.models import Model
 from evetac_cli.resources import MODEL
 
 

@@ -15,8 +15,8 @@ import slip_trials
 from motions import MOTIONS, Trial
 
 from evetac_cli.errors import SceneError
-from evetac_cli.evaluate import slip_warnings
-from evetac_cli.evaluate.slip_warnings import RULES
+from evetac_cli.evaluate.slip import warnings as slip_warnings
+from evetac_cli.evaluate.slip.warnings import RULES
 
 MS = 3000
 ONSET = 2000

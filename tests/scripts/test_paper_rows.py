@@ -15,8 +15,8 @@ import paper_rows
 from experiments import EXPERIMENTS
 
 from evetac_cli.commands.grasp import Grasp
-from evetac_cli.evaluate import paper
-from evetac_cli.evaluate.source import Source
+from evetac_cli.evaluate.common import paper
+from evetac_cli.evaluate.common.source import Source
 
 ROOT = paper_rows.ROOT
 CONTENT = paper_rows.read()

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from evetac_cli.commands.train import Train
-from evetac_cli.evaluate.slip_tables import TRUE_SLIP_SHARE
+from evetac_cli.evaluate.slip.tables import TRUE_SLIP_SHARE
 from evetac_cli.kernels.slip.training import PRESETS
 from evetac_cli.store.layout.ancestry import LEARNED_TRUTH_METHODS
 

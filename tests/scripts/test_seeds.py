@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from evetac_cli.evaluate import paper
+from evetac_cli.evaluate.common import paper
 from evetac_cli.resources import PACKAGE
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))

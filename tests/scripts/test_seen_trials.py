@@ -17,7 +17,7 @@ from slip_trials import planned_at
 
 from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.track import Track
-from evetac_cli.evaluate.slip_models import Model
+from evetac_cli.evaluate.slip.models import Model
 from evetac_cli.jobs import silent
 from evetac_cli.resources import MODEL
 from evetac_cli.stages import featurize, track

@@ -9,8 +9,8 @@ import numpy as np
 
 from evetac_cli.commands.evaluate import EvaluateSlip
 from evetac_cli.commands.grasp import Grasp
-from evetac_cli.evaluate import slip
-from evetac_cli.evaluate.slip_models import Model, check, predict_all
+from evetac_cli.evaluate.slip import measure as slip
+from evetac_cli.evaluate.slip.models import Model, check, predict_all
 from evetac_cli.jobs import silent
 from evetac_cli.store.files import StageFile
 from evetac_cli.trials import grasp

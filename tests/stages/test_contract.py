@@ -44,15 +44,15 @@ from evetac_cli.commands.train import Train
 from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.commands.trim import Trim
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import data_rate as evaluate_data_rate
-from evetac_cli.evaluate import force as evaluate_force
-from evetac_cli.evaluate import grasp as evaluate_grasp
-from evetac_cli.evaluate import labels as evaluate_labels
-from evetac_cli.evaluate import realism as evaluate_realism
-from evetac_cli.evaluate import slip as evaluate_slip
-from evetac_cli.evaluate import tracking as evaluate_tracking
-from evetac_cli.evaluate import vibration as evaluate_vibration
+from evetac_cli.evaluate.data_rate import measure as evaluate_data_rate
+from evetac_cli.evaluate.force import measure as evaluate_force
+from evetac_cli.evaluate.grasp import measure as evaluate_grasp
+from evetac_cli.evaluate.labels import measure as evaluate_labels
 from evetac_cli.evaluate.likeness import command as evaluate_likeness
+from evetac_cli.evaluate.realism import measure as evaluate_realism
+from evetac_cli.evaluate.slip import measure as evaluate_slip
+from evetac_cli.evaluate.tracking import measure as evaluate_tracking
+from evetac_cli.evaluate.vibration import measure as evaluate_vibration
 from evetac_cli.inspect import validate
 from evetac_cli.resources import PACKAGE
 from evetac_cli.stages import (

@@ -10,8 +10,8 @@ import pytest
 from evetac_cli.commands.evaluate import EvaluateLabels
 from evetac_cli.commands.label import Label
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import labels as evaluate_labels
 from evetac_cli.evaluate.cost.labels import flow_constants
+from evetac_cli.evaluate.labels import measure as evaluate_labels
 from evetac_cli.events import Events, empty
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.labelling import flow

@@ -17,7 +17,7 @@ from evetac_cli.commands.track import Track
 from evetac_cli.commands.track_rgb import TrackRgb
 from evetac_cli.commands.trim import Trim
 from evetac_cli.devices import replay
-from evetac_cli.evaluate import tracking
+from evetac_cli.evaluate.tracking import measure as tracking
 from evetac_cli.formats.exports import export
 from evetac_cli.formats.read import read_hdf5
 from evetac_cli.formats.write import event_files, write_table

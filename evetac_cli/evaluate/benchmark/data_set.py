@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.slip_warnings import slip_begins
+from evetac_cli.evaluate.slip.warnings import slip_begins
 from evetac_cli.store.hdf5.checked_hdf5 import CheckedHdf5
 from evetac_cli.text_files import MOST_JSON_BYTES, parse_json, read_text
 

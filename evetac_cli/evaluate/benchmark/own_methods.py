@@ -20,10 +20,10 @@ from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.commands.track import Track
 from evetac_cli.errors import MAKE_MODEL, InputError
-from evetac_cli.evaluate import grasp as grasp_evaluation
 from evetac_cli.evaluate.benchmark.data_set import Benchmark, BenchmarkTrial, read_json
 from evetac_cli.evaluate.benchmark.predictions import ONSET_KINDS, WARNING_KINDS, Predictions
-from evetac_cli.evaluate.slip_models import Model
+from evetac_cli.evaluate.grasp import measure as grasp_evaluation
+from evetac_cli.evaluate.slip.models import Model
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.kernels.slip import metrics

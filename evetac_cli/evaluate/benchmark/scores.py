@@ -3,7 +3,7 @@
 - onset: share of slips whose first detection is from 50 ms before to 20 ms after gross slip begins (the paper's rule).
 - warning: share of slips with a warning at least 10 ms ahead, at the lowest threshold with at most one false alarm per
   minute of contact in the recordings without slip. The rule of alarms is that of kernels/slip/alarms.py; the alarm that
-  is on when the object slips must have begun at most 200 ms before (rule `gross` of evaluate/slip_warnings.py).
+  is on when the object slips must have begun at most 200 ms before (rule `gross` of evaluate/slip/warnings.py).
 - force: mean absolute error of the shear force over instants and both axes, in N.
 - dots: root mean square of the distance from the true dots, over instants and dots, in px.
 - grip: share of lifts whose object is held to the end with a mean grip force of at most 3 times what just holds it.
@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.evaluate import slip_warnings
 from evetac_cli.evaluate.benchmark.data_set import Benchmark, Truth
 from evetac_cli.evaluate.benchmark.predictions import Predictions
-from evetac_cli.evaluate.rows import mean
+from evetac_cli.evaluate.common.rows import mean
+from evetac_cli.evaluate.slip import warnings as slip_warnings
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels import estimates
 from evetac_cli.kernels.estimates import Estimate

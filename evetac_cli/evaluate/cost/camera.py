@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.evaluate.rows import run_times
+from evetac_cli.evaluate.common.rows import run_times
 from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.compiled import njit

@@ -20,7 +20,7 @@ from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.commands.record import Record
-from evetac_cli.evaluate.rows import Extent, collect, difference, finite_or_none, run_times
+from evetac_cli.evaluate.common.rows import Extent, collect, difference, finite_or_none, run_times
 from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.kernels.labelling import flow
 from evetac_cli.stages import label

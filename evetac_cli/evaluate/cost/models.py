@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import paper, picture
+from evetac_cli.evaluate.common import paper, picture
+from evetac_cli.evaluate.common.rows import collect, run_times
 from evetac_cli.evaluate.cost.tracker import DOTS_PX, rim_events
-from evetac_cli.evaluate.rows import collect, run_times
-from evetac_cli.evaluate.slip import split_models
-from evetac_cli.evaluate.slip_models import Model
-from evetac_cli.evaluate.slip_tables import group_by_setting
+from evetac_cli.evaluate.slip.measure import split_models
+from evetac_cli.evaluate.slip.models import Model
+from evetac_cli.evaluate.slip.tables import group_by_setting
 from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, GEL_PX, OverImages
 from evetac_cli.kernels.slip.detector import Detector, Live

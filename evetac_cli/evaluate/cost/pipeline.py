@@ -43,8 +43,7 @@ from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.record import Record
 from evetac_cli.commands.track import Track
-from evetac_cli.evaluate.labels import true_onsets
-from evetac_cli.evaluate.rows import (
+from evetac_cli.evaluate.common.rows import (
     Extent,
     SolverSetting,
     difference,
@@ -57,7 +56,8 @@ from evetac_cli.evaluate.rows import (
     run_times,
     share_difference,
 )
-from evetac_cli.evaluate.slip_models import Model, check, predict_all
+from evetac_cli.evaluate.labels.measure import true_onsets
+from evetac_cli.evaluate.slip.models import Model, check, predict_all
 from evetac_cli.jobs import Progress, Row, Rows, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.kernels.slip import metrics

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
-from evetac_cli.evaluate import paper
-from evetac_cli.evaluate.data_rate import labels_beside
-from evetac_cli.evaluate.slip_tables import TIMING_BINS
+from evetac_cli.evaluate.common import paper
+from evetac_cli.evaluate.data_rate.measure import labels_beside
+from evetac_cli.evaluate.slip.tables import TIMING_BINS
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.slip.metrics import EARLIEST_MS, LATEST_MS
 from evetac_cli.store.recordings.read import Recording, ramp_start, true_onset

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from evetac_cli import resources
-from evetac_cli.evaluate import paper
+from evetac_cli.evaluate.common import paper
 from evetac_cli.kernels import estimates
 from evetac_cli.text_files import read_toml
 

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
-from evetac_cli.evaluate import paper
-from evetac_cli.evaluate.data_rate import dot_places, intervals
+from evetac_cli.evaluate.common import paper
+from evetac_cli.evaluate.data_rate.measure import dot_places, intervals
 from evetac_cli.evaluate.likeness.counts import ABOUT_MS, SliceCounts, about_slip
-from evetac_cli.evaluate.realism import ContactPhase, rest_and_motion, stroked
+from evetac_cli.evaluate.realism.measure import ContactPhase, rest_and_motion, stroked
 from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.jobs import Row
 from evetac_cli.kernels import realism

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from evetac_cli.evaluate.rows import Extent
+from evetac_cli.evaluate.common.rows import Extent
 from evetac_cli.evaluate.stability.bounds import (
     EVENTS,
     FINITE,

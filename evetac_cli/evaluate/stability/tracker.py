@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
+from evetac_cli.evaluate.common.rows import Extent
 from evetac_cli.evaluate.cost.tracker import DOTS_PX, rim_events
-from evetac_cli.evaluate.rows import Extent
 from evetac_cli.evaluate.stability.bounds import (
     P99_DOT,
     SAME_DOTS,

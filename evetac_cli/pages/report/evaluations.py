@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from evetac_cli.evaluate import paper
-from evetac_cli.evaluate.rows import mean
+from evetac_cli.evaluate.common import paper
+from evetac_cli.evaluate.common.rows import mean
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.pages.report.study import Found
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.evaluate import paper
+from evetac_cli.evaluate.common import paper
 from evetac_cli.pages import shared
 from evetac_cli.pages.report import evaluations, figures
 from evetac_cli.pages.report.evaluations import SECTIONS, SUBJECTS, Section, Subject, columns_of

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.errors import InputError, UnavailableError
-from evetac_cli.evaluate.labels import EARLIEST_MS, LATEST_MS
-from evetac_cli.evaluate.source import LABELS, Source
+from evetac_cli.evaluate.common.source import LABELS, Source
+from evetac_cli.evaluate.labels.measure import EARLIEST_MS, LATEST_MS
 from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Progress, Rows
 from evetac_cli.kernels.grip.paper import GraspPhase

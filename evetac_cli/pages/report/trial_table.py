@@ -12,8 +12,8 @@ from urllib.parse import quote
 
 import numpy as np
 
-from evetac_cli.evaluate import picture
-from evetac_cli.evaluate.picture import CORRECT, EARLY, LATE
+from evetac_cli.evaluate.common import picture
+from evetac_cli.evaluate.common.picture import CORRECT, EARLY, LATE
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.pages import shared
 from evetac_cli.pages.report import figures

@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
+from evetac_cli.evaluate.common.rows import Extent
 from evetac_cli.evaluate.cost import simulator as cost
 from evetac_cli.evaluate.cost.simulator import draw_trial, onset_ms, solve
-from evetac_cli.evaluate.rows import Extent
 from evetac_cli.sim.setup.solver import Solver
 
 

@@ -11,14 +11,14 @@ from typer.testing import CliRunner
 
 from evetac_cli.cli import main
 from evetac_cli.commands.evaluate import EvaluateCost, EvaluateSlip
-from evetac_cli.evaluate import slip
 from evetac_cli.evaluate.cost import command as cost
 from evetac_cli.evaluate.cost import models
+from evetac_cli.evaluate.slip import measure as slip
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.detector import Live
 from evetac_cli.store.files import StageFile
-from tests.evaluate.test_slip import features_file, trained
+from tests.evaluate.slip.test_measure import features_file, trained
 from tests.make import run_stage
 
 

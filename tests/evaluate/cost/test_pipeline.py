@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from evetac_cli.cli import main
 from evetac_cli.commands.evaluate import EvaluateCost
+from evetac_cli.evaluate.common.rows import Extent, SolverSetting, line
 from evetac_cli.evaluate.cost import command as cost
 from evetac_cli.evaluate.cost import pipeline
 from evetac_cli.evaluate.cost.pipeline import (
@@ -24,8 +25,7 @@ from evetac_cli.evaluate.cost.pipeline import (
     tables,
     trials,
 )
-from evetac_cli.evaluate.labels import true_onsets
-from evetac_cli.evaluate.rows import Extent, SolverSetting, line
+from evetac_cli.evaluate.labels.measure import true_onsets
 from evetac_cli.kernels.force.models import Regression
 from evetac_cli.store.recordings.read import open_recording
 

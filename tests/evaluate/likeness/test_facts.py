@@ -6,7 +6,7 @@ from collections import Counter
 import pytest
 
 from evetac_cli import resources
-from evetac_cli.evaluate import paper
+from evetac_cli.evaluate.common import paper
 from evetac_cli.evaluate.likeness.facts import (
     FIT,
     NEAR,

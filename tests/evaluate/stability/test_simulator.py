@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from evetac_cli.evaluate.rows import Extent
+from evetac_cli.evaluate.common.rows import Extent
 from evetac_cli.evaluate.stability import bounds
 from evetac_cli.evaluate.stability import gel as gel_stability
 from evetac_cli.evaluate.stability import simulator as simulator_stability

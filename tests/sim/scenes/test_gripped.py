@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from evetac_cli.commands.record import Record
-from evetac_cli.evaluate import paper
+from evetac_cli.evaluate.common import paper
 from evetac_cli.evaluate.stability.extreme_scenes import merge
 from evetac_cli.events import concatenate
 from evetac_cli.resources import SCENES

@@ -10,7 +10,7 @@ from evetac_cli.commands.evaluate import EvaluateForce
 from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate import force as evaluate_force
+from evetac_cli.evaluate.force import measure as evaluate_force
 from evetac_cli.inspect import info
 from evetac_cli.pages.report.evaluations import _gel_forces
 from evetac_cli.pages.report.study import Found

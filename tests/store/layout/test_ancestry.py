@@ -8,8 +8,8 @@ import h5py
 import pytest
 
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.slip_models import Model
-from evetac_cli.evaluate.source import Source
+from evetac_cli.evaluate.common.source import Source
+from evetac_cli.evaluate.slip.models import Model
 from evetac_cli.inspect import validate
 from evetac_cli.resources import MODEL
 from evetac_cli.stages.model_files import labelled_by, learned_true_slip_share

@@ -13,7 +13,7 @@ from evetac_cli.commands.evaluate import EvaluateGrasp
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.record import Record
 from evetac_cli.errors import DeviceError, InputError
-from evetac_cli.evaluate import grasp as evaluate_grasp
+from evetac_cli.evaluate.grasp import measure as evaluate_grasp
 from evetac_cli.events import Events, empty
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.slip.alarms import alarming

@@ -1,0 +1,1 @@
+"""What subjects of `evaluate` share: report files, their origin, rows, pictures and the paper's figures."""

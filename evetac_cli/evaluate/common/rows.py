@@ -1,0 +1,258 @@
+"""Common parts of rows: means of known values; of `evaluate cost` settings, run times and the plot of errors.
+
+Settings are compared in pairs, on the same trials. The interval is Student's for the mean of paired differences,
+two-sided, at CONFIDENCE. A bootstrap would be too narrow: with the few trials that fit into three minutes it only
+resamples the same few values. Shares of trials have their own intervals, because Student's interval of a share of 0 or
+1 would be too narrow.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from statistics import NormalDist
+from types import MappingProxyType
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.arrays import Flags, Floats
+from evetac_cli.commands.parameter import flag_of
+from evetac_cli.commands.trials import SOLVER_OPTIONS, Trials
+from evetac_cli.evaluate.common import picture
+from evetac_cli.jobs import Progress, Row, Rows
+from evetac_cli.kernels import estimates
+from evetac_cli.kernels.estimates import Estimate
+
+Amount = TypeVar("Amount")
+
+FLAGS = {item.name: flag_of(item) for item in fields(Trials) if item.name in SOLVER_OPTIONS}
+STILL, REFERENCE = "standing still", "reference"
+REAL_TIME_US = 1000.0  # run time per simulated millisecond at real-time speed
+UNITS = ("um", "us", "px", "ms", "share")
+UM_PER_PX = 32.9  # of the sensor `evetac`
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Extent(Generic[Amount]):
+    """Amount to measure, without and with `--full`."""
+
+    quick: Amount
+    full: Amount
+
+    def pick(self, full: bool) -> Amount:
+        """Return the amount with `--full` or without."""
+        return self.full if full else self.quick
+
+
+def collect(rows: Iterable[Row], total: int, progress: Progress) -> Rows:
+    """Measure row after row, and report the progress towards `total`."""
+    measured: Rows = []
+    for row in rows:
+        measured.append(row)
+        progress(len(measured), total)
+    return measured
+
+
+def each(paths: Sequence[Path], progress: Progress) -> Iterator[Path]:
+    """Yield the paths, and report the progress after each."""
+    for number, path in enumerate(paths, start=1):
+        yield path
+        progress(number, len(paths))
+
+
+def mean(values: Iterable[float | None]) -> float | None:
+    """Return the mean of the known, finite values; None without any."""
+    known = _known(values)
+    return float(np.mean(known)) if known else None
+
+
+def sd(values: Iterable[float | None]) -> float | None:
+    """Return the standard deviation of the known, finite values; None for fewer than two."""
+    known = _known(values)
+    return float(np.std(known, ddof=1)) if len(known) > 1 else None
+
+
+def quantile(values: Iterable[float | None], share: float = 0.5) -> float | None:
+    """Return a quantile of the known, finite values, by default the median; None without any."""
+    known = _known(values)
+    return float(np.quantile(known, share)) if known else None
+
+
+def _known(values: Iterable[float | None]) -> list[float]:
+    return [float(value) for value in values if value is not None and np.isfinite(value)]
+
+
+def resampled(values: Iterable[float | None]) -> Estimate | None:
+    """Return the mean of the known, finite values with its interval from resampling them; None for fewer than two."""
+    known = np.array(_known(values))
+    if len(known) < 2:
+        return None
+    return estimates.ratio_of_clusters(known, np.ones(len(known)), estimates.cluster_weights(range(len(known))))
+
+
+def ends(name: str, estimate: Estimate | None) -> dict[str, float | None]:
+    """Return the columns `<name>_low` and `<name>_high` of an interval; None without one."""
+    low, high = (None, None) if estimate is None else estimate[1:]
+    return {f"{name}_low": low, f"{name}_high": high}
+
+
+def run_times(times_us: NDArray[np.float64], name: str = "time") -> Row:
+    """Return the columns `<name>_us_median` and `<name>_us_p99` of run times; None if nothing was timed."""
+    if not len(times_us):
+        return {f"{name}_us_median": None, f"{name}_us_p99": None}
+    return {
+        f"{name}_us_median": float(np.median(times_us)),
+        f"{name}_us_p99": float(np.percentile(times_us, 99)),
+    }
+
+
+@dataclass(frozen=True)
+class SolverSetting:
+    """One solver setting: its line in the plot, its value on that line, and the scene's table [solver]."""
+
+    line: str
+    value: str = ""
+    solver: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """The entry in the column `setting`: `fixed step, 0.25 ms`."""
+        return f"{self.line}, {self.value}" if self.value else self.line
+
+    @property
+    def flags(self) -> str:
+        """The flags of `record` and `grasp` for this setting, such as `--step-ms 0.25`; empty for the default."""
+        return " ".join(f"{FLAGS[key]} {value:g}" for key, value in self.solver.items())
+
+
+def line(name: str, key: str, values: tuple[float, ...], unit: str = "", **others: float) -> list[SolverSetting]:
+    """Return the settings of one line: a key of the table [solver] with each of these values, plus other fixed keys."""
+    return [SolverSetting(name, f"{value:g} {unit}".rstrip(), {key: value, **others}) for value in values]
+
+
+def size_in(rows: Rows) -> tuple[float, float]:
+    """Return width and height in inches; the height grows with the number of different values in the column `part`."""
+    return 14.0, 4.2 * len({row.get("part") for row in rows})
+
+
+def draw(figure: Any, rows: Rows, errors: Sequence[str], times: Mapping[str, str] = MappingProxyType({})) -> None:
+    """Plot log error over log run time: a row of panels per value of `part`, a panel per error, a line per setting.
+
+    A setting is `line, knob`, or a point without a knob. `standing still` and `reference` are horizontal lines across
+    the panel. times: the column of the run time, for errors that do not belong to `time_us_median`.
+    """
+    parts = list(dict.fromkeys(row.get("part", "") for row in rows))
+    for subfigure, part in zip(figure.subfigures(len(parts), 1, squeeze=False)[:, 0], parts, strict=True):
+        part_rows = [row for row in rows if row.get("part", "") == part]
+        names = [name for name in errors if name in part_rows[0]]
+        if len(parts) > 1:
+            subfigure.suptitle(part)
+        panels = picture.panels(subfigure, len(names), len(names))
+        for axes, name in zip(panels, names, strict=True):
+            draw_panel(axes, part_rows, name, times.get(name, "time_us_median"))
+        picture.label_x(panels, "run time per millisecond\n(one slice), median [us]")
+        picture.legend(subfigure, panels)
+
+
+def draw_panel(axes: Any, rows: Rows, error: str, time: str = "time_us_median") -> None:
+    """Draw one kind of error; an error of 0 has no position on a logarithmic axis and is left out."""
+    lines: dict[str, Rows] = {}
+    for row in rows:
+        if row["setting"] not in (STILL, REFERENCE):
+            lines.setdefault(row["setting"].rpartition(", ")[0] or row["setting"], []).append(row)
+        elif row[error]:
+            axes.axhline(row[error], color="0.3", linewidth=1.2, linestyle="-.", label=row["setting"])
+    for number, (line, members) in enumerate(lines.items()):
+        points = [row for row in members if row[error] and np.isfinite(row[error])]
+        if points:
+            knobs = [row["setting"].rpartition(", ")[2] for row in members]
+            label = line if knobs == [line] else f"{line}, {knobs[0]} to {knobs[-1]}"
+            axes.plot(
+                [row[time] for row in points], [row[error] for row in points], label=label, **picture.series(number)
+            )
+    axes.axvline(REAL_TIME_US, color="0.3", linewidth=1, linestyle="--", label="real time")
+    first, *rest = error.removeprefix("error_").split("_")
+    title, unit = (" ".join(rest), f" [{first}]") if first in UNITS else (" ".join((first, *rest)), "")
+    axes.set(title=title, ylabel=f"error{unit}" + (f", 1 px is {UM_PER_PX:g} um" if first == "um" else ""))
+    if any(len(line.get_xdata()) and line.get_marker() != "None" for line in axes.lines):
+        for axis in (axes.xaxis, axes.yaxis):
+            picture.log_axis(axis)
+    else:
+        picture.say_instead(axes, "errors are 0 or unknown")
+
+
+class ConfidenceInterval(NamedTuple):
+    """Mean of paired differences or share, the ends of its interval, and the number of trials; NaN if too few."""
+
+    mean: float
+    low: float
+    high: float
+    trials: int
+
+
+def difference(ours: Floats, theirs: Floats, resolution: float = 0.0) -> ConfidenceInterval:
+    """Return the mean of ours - theirs over the trials in which both are known (not NaN).
+
+    resolution: that of both values, such as a slice of 1 ms. Two rounded values differ by chance with a standard
+    deviation of resolution / sqrt(6). The standard deviation is never assumed smaller, so that a few equal differences
+    do not count as certain.
+    """
+    apart = ours - theirs
+    apart = apart[np.isfinite(apart)]
+    count = len(apart)
+    if count == 0:
+        return ConfidenceInterval(math.nan, math.nan, math.nan, 0)
+    middle = float(apart.mean())
+    if count == 1:
+        return ConfidenceInterval(middle, math.nan, math.nan, 1)
+    spread = max(float(apart.std(ddof=1)), resolution / math.sqrt(6.0))
+    from scipy import stats  # takes half a second to load
+
+    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1)) * spread / math.sqrt(count)
+    return ConfidenceInterval(middle, middle - half, middle + half, count)
+
+
+def share_difference(ours: Flags, theirs: Flags) -> ConfidenceInterval:
+    """Return the difference, ours - theirs, of two shares over the same trials.
+
+    The interval is Wald's with half a trial added to each of the four cells of the table of pairs (Agresti and Min,
+    Statistics in Medicine 24, 2005). Therefore a difference of 0 is not certain either. With 40 trials the interval has
+    its nominal coverage; with 20 the coverage may be 91 %.
+    """
+    count = len(ours)
+    if count == 0:
+        return ConfidenceInterval(math.nan, math.nan, math.nan, 0)
+    gained, lost = int(np.count_nonzero(ours & ~theirs)), int(np.count_nonzero(theirs & ~ours))
+    middle = (gained - lost) / (count + 2)
+    z = NormalDist().inv_cdf(0.5 + CONFIDENCE / 2)
+    half = z * math.sqrt(gained + lost + 1 - (gained - lost) ** 2 / (count + 2)) / (count + 2)
+    return ConfidenceInterval((gained - lost) / count, max(middle - half, -1.0), min(middle + half, 1.0), count)
+
+
+def finite_or_none(value: float) -> float | None:
+    """Return the value for a table: None instead of NaN."""
+    return value if math.isfinite(value) else None
+
+
+def on_front(errors: Sequence[Floats], times: Sequence[Floats], resolution: float = 0.0) -> list[bool]:
+    """Return which settings are certainly on the Pareto front of error and run time.
+
+    errors and times: an array per setting, all over the same trials. A setting is on the front if every other setting
+    has a larger error or a longer run time, and the interval of the difference excludes 0. If there are too few trials
+    to distinguish two settings, neither of them is on the front.
+    """
+
+    def larger(theirs: Floats, ours: Floats, step: float) -> bool:
+        return difference(theirs, ours, step).low > 0.0
+
+    return [
+        all(
+            larger(times[other], times[one], 0.0) or larger(errors[other], errors[one], resolution)
+            for other in range(len(errors))
+            if other != one
+        )
+        for one in range(len(errors))
+    ]

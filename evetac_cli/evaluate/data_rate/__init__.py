@@ -1,0 +1,1 @@
+"""evaluate data-rate: bytes of events against those of an RGB sensor."""

@@ -1,0 +1,1 @@
+"""evaluate force: estimated forces against the true ones."""

@@ -1,0 +1,1 @@
+"""evaluate grasp: outcomes of grasps, and their grip forces."""

@@ -1,0 +1,371 @@
+"""evaluate grasp: the paper's table of grasps by controller and object, and its robustness tables (section VII).
+
+Grasps with several controllers, in several scenes and on several sensors are evaluated together. Grasps that differ
+only in object and trial belong to one setting. The rows form three tables with different columns: over all objects, by
+object, and by trial. The table over all objects merges gains, as the paper's figure does, in which some objects were
+held with a higher gain; there a column is an object with a gain. The paper's figures are included. If detectors or
+their thresholds differ, they are part of the setting.
+
+Balance counts only trials that lifted the object, as in the paper; `success` counts both phases. Motion of the object,
+grip force and reopening of the gripper are means (or medians) over trials that held the object to the end, because an
+object that fell may have moved by any distance. The force relative to the least force that holds the object, and
+whether it follows the weight, come from grip_forces.py.
+"""
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.commands.evaluate import EvaluateGrasp
+from evetac_cli.commands.parameter import recipe_of
+from evetac_cli.errors import InputError
+from evetac_cli.evaluate.common import paper, picture
+from evetac_cli.evaluate.common.report import report, report_job
+from evetac_cli.evaluate.common.rows import each, ends, mean, quantile, resampled, sd
+from evetac_cli.evaluate.common.source import Source
+from evetac_cli.evaluate.grasp import grip_forces
+from evetac_cli.events import SLICES_PER_S
+from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
+from evetac_cli.kernels import estimates
+from evetac_cli.kernels.grip.load_law import MARGIN
+from evetac_cli.sim import grasp_outcome
+from evetac_cli.sim.setup.plan import Plan, read_plan
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.layout.provenance import Header
+from evetac_cli.store.recordings import slip_grid
+
+OUTPUT = "report"
+METHOD = 5
+ALIKE = ("scene", "sensor", "gel", "slip_detector", "tracker", "slip_threshold")  # of all trials of a setting
+MEANS = (
+    "opening_after_lift_ticks",
+    "opening_after_balance_ticks",
+    "opening_after_lift_mm",
+    "opening_after_balance_mm",
+    "reopened_share",
+)
+
+USUAL = {"gain": 1.0, "latency_ms": 0, "control_hz": 500.0}  # named in a setting only if they differ from these
+Lines = list[tuple[int, dict[str, Any]]]  # of the plot, from the top down: number and row
+
+WIDTH_IN, FORCES_IN = 13.0, 4.5  # of the plot, and the height of its part on force against weight
+MOST_SETTINGS = 8  # this many markers can be distinguished
+# Column of the rows by object; the trials' column behind it, if any; axis label.
+PANELS = (
+    ("success", "", "share of trials lifted and balanced"),
+    ("opening_after_balance_ticks", "opening_after_balance_ticks", "change of the opening at the end, mean [ticks]"),
+    ("force_end_n", "force_end_n", "grip force at the end, mean [N]"),
+    ("moved_mm_median", "moved_mm", "object moved in the gripper, median [mm]"),
+)
+INTERVAL = "95 % interval by the number of trials (Wilson)"
+MOVED_MM = paper.FIGURES["moved less in most trials",].value
+
+
+def jobs(files: list[Path], params: EvaluateGrasp, out: Path | None) -> list[Job]:
+    """Return one report job over all grasps; recordings of a second finger are left out."""
+    return report_job([file for file in files if not _is_second_finger(file)] or files, "grasp", out)
+
+
+def _is_second_finger(path: Path) -> bool:
+    """Whether a file is the recording of a second finger's camera; the first finger's has the decisions."""
+    with StageFile(path) as file:
+        return file.kind == "recording" and file.has("capture/clock_offset_us") and not file.has("control")
+
+
+def run(job: Job, params: EvaluateGrasp, *, force: bool = False, progress: Progress = silent) -> Outcome:
+    """Return rows of settings, objects and trials, and plot them."""
+    headers = []
+    for path in job.inputs:
+        with StageFile(path, "recording") as recording:
+            lacking = [name for name in ("control", "truth/table_gap_mm") if not recording.has(name)]
+            if lacking:
+                raise InputError("not a simulated grasp", where=str(path), expected=f"{lacking[0]} in the file")
+            headers.append(recording.header)
+
+    def measure() -> tuple[Rows, dict[str, Any]]:
+        paths = zip(each(job.inputs, progress), headers, strict=True)
+        return tables(with_detectors([trial_row(path, header) for path, header in paths], headers))
+
+    outcome = report(job, "evaluate grasp", METHOD, recipe_of(params), headers, measure, force=force)
+    source = Source.of(headers)
+    size_in = _size_in(outcome.rows, source)
+    return picture.beside(outcome, job.output, lambda figure: _draw(figure, outcome.rows, source), size_in)
+
+
+def for_people(rows: Rows, params: EvaluateGrasp) -> tuple[Rows, list[str]]:
+    """Return all rows, and for each setting the number of trials that held their object to the end."""
+    lines = []
+    for row in rows:
+        if "columns" in row:
+            published = row.get("paper_success")
+            beside = "" if published is None else f" (paper, on its own objects: {published:.2f})"
+            held, trials = row["held_trials"], row["trials"]
+            words = f"{row['setting']}: lifted and held to the end in {held} of {trials}{beside}"
+            if held < trials:
+                words += f"; force and motion are over n = {held}, without {row['lost']}"
+            if row["over_holding_counted"] < held:
+                words += f"; the least force that holds the object is known in {row['over_holding_counted']} of these"
+            lines.append(f"{words}.")
+    return rows, lines + slip_grid.resting_on(rows)
+
+
+def trial_row(path: Path, header: Header) -> dict[str, Any]:
+    """Return setting and outcome of one grasp."""
+    planned = header["parameters"]
+    plan = read_plan(planned, str(path))
+    with StageFile(path, "recording") as recording:
+        stored_names = [name for name in (*grasp_outcome.NEEDED, grasp_outcome.HOLDING) if recording.has(name)]
+        rows = {name: recording.read(name) for name in stored_names}
+        mass_g = 1e3 * json.loads(recording.read("truth/sampled_parameters"))["mass_kg"]
+        nodes = slip_grid.nodes_of(recording)
+        stored = "{}"
+        if recording.has("control/second_probability") and recording.has("control/outcome"):
+            stored = recording.read("control/outcome")
+    seconds = plan.scene.time.touch_s + planned["lift_s"] + planned["balance_s"]
+    newton_per_ma = plan.sensor.gripper.force_per_current_n_ma
+    figures = grasp_outcome.outcome(rows, plan.sensor.mm_per_px, round(SLICES_PER_S * seconds), newton_per_ma)
+    # false reactions to slip of a second finger can only be counted from its own recording: take the stored outcome
+    figures |= {name: value for name, value in json.loads(stored).items() if name == "false_slip_events"}
+    drop = plan.scene.drop
+    if drop is not None and plan.scene.time.touch_s + planned["lift_s"] + drop.after_s < seconds:
+        mass_g += drop.mass_g
+    names = {"setting": describe_setting(plan, planned), "object": plan.called, "file": path.name, "carried_g": mass_g}
+    names |= {"scene": plan.scene.name, "sensor": plan.sensor_name, "gel": "cut" if plan.scene.gel.cut else "closed"}
+    return {**names, **figures, slip_grid.COLUMN: nodes}
+
+
+def tables(trials: Rows) -> tuple[Rows, dict[str, Any]]:
+    """Return the rows of all three tables, and figures over all trials."""
+    whole: Rows = []
+    objects: Rows = []
+    for name in dict.fromkeys(without_gain(row["setting"]) for row in trials):
+        members = [row for row in trials if without_gain(row["setting"]) == name]
+        columns: dict[tuple[str, int | str], Rows] = {}
+        for row in members:
+            columns.setdefault((row["setting"], row["object"]), []).append(row)
+        rows = [
+            {"setting": setting, "object": number, **_alike(cell), **figures(cell)}
+            for (setting, number), cell in columns.items()
+        ]
+        objects += [_with_papers(row, "paper_success", "paper_opening_after_balance_ticks") for row in rows]
+        row = {"setting": name, "columns": len(columns), **_alike(members), **figures(members)}
+        row["reopened_share"] = mean(one["reopened_share"] for one in rows)  # every column counts the same
+        row["reopened_columns"] = sum(one["reopened_share"] is not None for one in rows)
+        row |= _ends(members, rows)
+        row |= {key: value for key, value in grip_forces.firmness(members).items() if key not in ("grasps", "kept")}
+        whole.append(_with_papers(row, "paper_success", "paper_reopened_share"))
+    shares: dict[str, Any] = {
+        f"{name}_share": float(np.mean([row[name] for row in trials])) for name in ("lifted", "balanced")
+    }
+    follows = [(row["setting"], row["force_follows_weight"]) for row in whole]
+    shares["force_follows_weight"] = ", ".join(f"{name} {value:.2f}" for name, value in follows if value is not None)
+    return [*whole, *objects, *trials], {"grasps": len(trials), **shares}
+
+
+def _ends(trials: Rows, by_object: Rows) -> dict[str, float | None]:
+    """Return the ends of intervals of a setting's shares, from resampling objects: their trials are alike."""
+    objects = [row["object"] for row in trials]
+    weights = estimates.cluster_weights(objects)
+    found: dict[str, estimates.Estimate | None] = {}
+    for name, hits in (("success", [row["balanced"] for row in trials]), ("lifted", [row["lifted"] for row in trials])):
+        found[name] = (
+            estimates.ratio_of_clusters(np.array(hits, np.float64), np.ones(len(trials)), weights)
+            if len(set(objects)) > 1 and 0 < sum(hits) < len(trials)
+            else estimates.share(sum(hits), len(trials))
+        )
+    found["reopened_share"] = resampled(row["reopened_share"] for row in by_object)
+    return {column: value for name, one in found.items() for column, value in ends(name, one).items()}
+
+
+def _alike(trials: Rows) -> dict[str, Any]:
+    """Return the columns that trials of a setting share; those of tables by hand may lack some."""
+    return {name: trials[0][name] for name in ALIKE if name in trials[0]}
+
+
+def figures(trials: Rows) -> dict[str, Any]:
+    """Return success rates over all trials, and figures over those that held their object to the end.
+
+    `held_trials` are behind these figures, except that `reopened_share` exists only if the gripper closed in the lift.
+    """
+    lifted = [row for row in trials if row["lifted"]]
+    held_trials = [row for row in trials if row["balanced"]]
+    moved = [row["moved_mm"] for row in held_trials]
+    return {
+        "trials": len(trials),
+        "lifted_trials": len(lifted),
+        "held_trials": len(held_trials),
+        "reopened_trials": sum(row["reopened_share"] is not None for row in held_trials),
+        "success": len(held_trials) / len(trials),
+        "lifted": len(lifted) / len(trials),
+        "balanced": len(held_trials) / len(lifted) if lifted else None,
+        **{name: mean(row[name] for row in held_trials) for name in MEANS},
+        "opening_after_balance_ticks_sd": sd([row["opening_after_balance_ticks"] for row in held_trials]),
+        "force_end_n": mean(row["force_end_n"] for row in held_trials),
+        "moved_lift_mm_median": quantile([row["moved_lift_mm"] for row in held_trials], 0.5),
+        "moved_mm_median": quantile(moved, 0.5),
+        "moved_mm_mean": mean(moved),
+        "moved_mm_p90": quantile(moved, 0.9),
+        "moved_below_10_mm_share": mean(value < MOVED_MM for value in moved),
+        "slip_events_mean": mean(row["slip_events"] for row in trials),
+    }
+
+
+def _with_papers(row: dict[str, Any], *columns: str) -> dict[str, Any]:
+    """Add the paper's figures for the setting, or for the object with the paper's controller; None if it has none."""
+    return {**row, **{column: paper.value_of(column, row) for column in columns}}
+
+
+def _size_in(rows: Rows, source: Source) -> tuple[float, float]:
+    """Return width and height in inches: one line per setting of every object, and the legend."""
+    lines, shown = _lines(_by_object(rows))
+    styles = {style["label"] for name, *_ in PANELS for _, _, style in _papers(lines, name, source)}
+    legend_in = picture.legend_height_in([*shown, INTERVAL, *styles], WIDTH_IN)
+    forces_in = FORCES_IN if _weighed(rows, shown) else 0.0
+    return WIDTH_IN, 1.4 + max(0.2 * (lines[-1][0] + 1), 0.9) + legend_in + forces_in
+
+
+def _by_object(rows: Rows) -> Rows:
+    return [row for row in rows if "moved_mm_median" in row and "object" in row]
+
+
+def _lines(by_object: Rows) -> tuple[Lines, list[str]]:
+    """Return the line of each row by object and setting, with a gap between objects, and the settings to draw."""
+    shown = list(dict.fromkeys(row["setting"] for row in by_object))[:MOST_SETTINGS]
+    lines: Lines = []
+    for number in sorted({row["object"] for row in by_object}, key=lambda called: (isinstance(called, str), called)):
+        of_object = {row["setting"]: row for row in by_object if row["object"] == number}
+        start = lines[-1][0] + 2 if lines else 0
+        present = [setting for setting in shown if setting in of_object]
+        lines += [(start + place, of_object[setting]) for place, setting in enumerate(present)]
+    return lines, shown
+
+
+def _weighed(rows: Rows, shown: Sequence[str]) -> dict[str, Rows]:
+    """Return the held trials of each drawn setting that have both force and weight; {} if there are none."""
+    trials = [row for row in rows if "file" in row and row["balanced"] and row.get("holding_end_n")]
+    by_name = {name: [row for row in trials if without_gain(row["setting"]) == without_gain(name)] for name in shown}
+    return {name: members for name, members in by_name.items() if members}
+
+
+def _draw(figure: Any, rows: Rows, source: Source) -> None:
+    """Draw a line per setting of every object, and below it grip force against weight where that is known."""
+    shown = _lines(_by_object(rows))[1]
+    weighed = _weighed(rows, shown)
+    if weighed:
+        height_in = figure.get_size_inches()[1]
+        figure, below = figure.subfigures(2, 1, height_ratios=(height_in - FORCES_IN, FORCES_IN))
+        grip_forces.draw(below, [(shown.index(name), name, members) for name, members in weighed.items()])
+    _draw_lines(figure, rows, source)
+
+
+def _draw_lines(figure: Any, rows: Rows, source: Source) -> None:
+    """Draw a line per setting of every object: share of trials, then figures of the trials that held their object."""
+    by_object = _by_object(rows)
+    lines, shown = _lines(by_object)
+    settings = len({row["setting"] for row in by_object})
+    of_all = "" if settings == len(shown) else f"; the first {MOST_SETTINGS} of {settings} settings"
+    figure.suptitle(f"Grasps (simulated){of_all}")
+    panels = picture.panels(figure, len(PANELS), len(PANELS), sharey=True)
+    for axes, (name, of_trial, title) in zip(panels, PANELS, strict=True):
+        for place, row in lines:
+            number = shown.index(row["setting"])
+            style = {**picture.series(number), "linestyle": "none"}
+            if of_trial:
+                values = [one[of_trial] for one in _held_trials(rows, row)]
+                axes.plot(values, np.full(len(values), place), **{**style, "markersize": 3.5, "alpha": 0.35})
+            else:
+                reach = picture.wilson(row[name], row["trials"])
+                axes.errorbar(row[name], place, xerr=reach, label=INTERVAL, **picture.INTERVAL)
+            if row[name] is not None:
+                axes.plot(row[name], place, label=f"controller {row['setting']}", **{**style, "markersize": 8})
+        for value, middle, style in _papers(lines, name, source):
+            axes.plot(value, middle, **style)
+        if of_trial and all(row[name] is None for _, row in lines):
+            picture.say_instead(axes, "no object was held")
+        axes.set_xlabel(title)
+    picture.share_axis(panels[0].xaxis)
+    middles = _middles(lines)
+    panels[0].set_yticks(list(middles.values()), [f"object {number}" for number in middles])
+    panels[0].set_ylim(lines[-1][0] + 0.8, -0.8)
+    picture.legend(figure, panels)
+
+
+def _held_trials(rows: Rows, of: dict[str, Any]) -> Rows:
+    """Return the trials of an object and setting that held it to the end."""
+    trials = (row for row in rows if "file" in row and row["balanced"])
+    return [row for row in trials if (row["setting"], row["object"]) == (of["setting"], of["object"])]
+
+
+def _middles(lines: Lines) -> dict[int | str, float]:
+    """Return the vertical middle of each object's lines."""
+    places: dict[int | str, list[int]] = {}
+    for place, row in lines:
+        places.setdefault(row["object"], []).append(place)
+    return {number: (of_object[0] + of_object[-1]) / 2 for number, of_object in places.items()}
+
+
+def _papers(lines: Lines, name: str, source: Source) -> Iterator[tuple[float, float, dict[str, Any]]]:
+    """Yield the paper's figure of every object in a panel, the vertical middle of its lines, and its style.
+
+    The figure is that of the object's first line for which the paper has one.
+    """
+    column = f"paper_{name}"
+    for number, place in _middles(lines).items() if column in paper.SHOWN else ():
+        of_object = (row for _, row in lines if row["object"] == number)
+        beside = next(filter(None, (paper.beside(column, row, source) for row in of_object)), None)
+        if beside is not None:
+            yield beside.value, place, picture.of_paper(beside.mark, "real gripper")
+
+
+def with_detectors(trials: Rows, headers: Sequence[Header]) -> Rows:
+    """Return the trials with detector, tracker and threshold, which are None without a detector.
+
+    Where grasps of a report differ in detector or threshold, these words are added to the setting.
+    """
+    sources: dict[str, dict[str, Any]] = {}
+    rows: Rows = []
+    for trial, header in zip(trials, headers, strict=True):
+        planned = header["parameters"]
+        key = json.dumps([header["parents"], planned.get("tracker")], sort_keys=True)
+        if key not in sources:
+            source = Source.of([header])
+            detector, tracker = (source.detector, " + ".join(source.trackers)) if source.detectors else (None, None)
+            sources[key] = {"slip_detector": detector, "tracker": tracker}
+        rows.append({**trial, **sources[key], "slip_threshold": planned.get("slip_threshold")})
+    detectors = {row["slip_detector"] for row in rows} - {None}
+    for row in rows:
+        words = [f"detector {row['slip_detector']}"] if row["slip_detector"] and len(detectors) > 1 else []
+        same = {one["slip_threshold"] for one in rows if one["slip_detector"] == row["slip_detector"]}
+        words += [f"threshold {row['slip_threshold']:g}"] if len(same) > 1 else []
+        row["setting"] = ", ".join([row["setting"], *words])
+    return rows
+
+
+def describe_setting(plan: Plan, planned: dict[str, Any]) -> str:
+    """Return the words for a setting: its controller and all non-default choices, without object and trial."""
+    gain, latency_ms, control_hz = (planned.get(name, usual) for name, usual in USUAL.items())
+    margin = planned.get("law", {}).get("margin", MARGIN) if planned["controller"] == "load-proportional" else MARGIN
+    second = "" if plan.second is None or plan.second.name == plan.sensor_name else f", {plan.second.name}"
+    words = (
+        (planned["controller"], True),
+        (f"gain {gain:g}", gain != USUAL["gain"]),
+        (f"margin {margin:g}", margin != MARGIN),
+        (plan.scene.name, plan.scene.name != "lift"),
+        (plan.sensor_name, plan.sensor_name != "evetac"),
+        (f"two fingers{second}", plan.second is not None),
+        ("closed gel", not plan.scene.gel.cut),
+        (f"{latency_ms} ms late", latency_ms != USUAL["latency_ms"]),
+        (f"{control_hz:g} Hz", control_hz != USUAL["control_hz"]),
+    )
+    return ", ".join(word for word, unusual in words if unusual)
+
+
+def without_gain(setting: str) -> str:
+    """Return the name of a setting without its gain."""
+    return ", ".join(word for word in setting.split(", ") if not word.startswith("gain "))
+
+
+STAGE = Stage(jobs, run, for_people=for_people)

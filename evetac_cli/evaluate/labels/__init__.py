@@ -1,0 +1,1 @@
+"""evaluate labels: labelled onsets against the true ones."""

@@ -1,0 +1,1 @@
+"""evaluate realism: a simulated recording against a real one."""

@@ -1,0 +1,1 @@
+"""evaluate slip: timing, F1 and warnings of slip detectors."""

@@ -1,0 +1,1 @@
+"""evaluate tracking: tracked dots against where they began and where they truly were."""

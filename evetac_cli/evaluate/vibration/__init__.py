@@ -1,0 +1,1 @@
+"""evaluate vibration: the frequency at which the gel vibrates."""

@@ -1,0 +1,37 @@
+"""What the rows of `evaluate cost` have in common: extents, progress, run times, settings and their flags."""
+
+import numpy as np
+import pytest
+
+from evetac_cli.evaluate.common.rows import SolverSetting, collect, ends, line, resampled, run_times
+
+
+def test_rows_are_collected_with_progress():
+    """Assert that progress is reported after each row."""
+    reports = []
+    rows = [{"setting": "a"}, {"setting": "b"}]
+    assert collect(iter(rows), 2, lambda done, total: reports.append((done, total))) == rows
+    assert reports == [(1, 2), (2, 2)]
+
+
+def test_run_times_by_hand():
+    """Assert median and 99th percentile, and None where nothing was timed."""
+    assert run_times(np.arange(101.0)) == {"time_us_median": 50.0, "time_us_p99": 99.0}
+    assert run_times(np.empty(0), "step") == {"step_us_median": None, "step_us_p99": None}
+
+
+def test_names_and_flags() -> None:
+    """Assert that a setting is named by its line and value, and says the flags that choose it."""
+    quarter, tenth = line("fixed step", "step_ms", (0.25, 0.1), "ms")
+    assert (quarter.name, quarter.flags) == ("fixed step, 0.25 ms", "--step-ms 0.25")
+    assert (tenth.name, tenth.flags) == ("fixed step, 0.1 ms", "--step-ms 0.1")
+    (both,) = line("node pitch", "node_pitch_mm", (0.625,), "mm", step_ms=0.25)
+    assert (both.name, both.flags) == ("node pitch, 0.625 mm", "--node-pitch-mm 0.625 --step-ms 0.25")
+    assert SolverSetting("tolerance", solver={"tolerance_um": 0.05}).flags == "--tolerance 0.05"
+    assert SolverSetting("defaults").flags == ""
+
+
+def test_the_interval_of_a_mean_spans_its_values() -> None:
+    """Assert the ends for two values, of which either may be drawn twice, and none for fewer that are known."""
+    assert ends("f1", resampled([0.6, None, 0.9])) == pytest.approx({"f1_low": 0.6, "f1_high": 0.9})
+    assert ends("f1", resampled([0.5, None])) == {"f1_low": None, "f1_high": None}
