@@ -12,7 +12,7 @@ Each name of `__all__` is imported when it is first used, so `import evetac_cli`
 
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.2.0"
+from evetac_cli.names import __version__ as __version__
 
 if TYPE_CHECKING:
     from evetac_cli.api import (

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli import resources
-from evetac_cli.checks import check_range
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, check_range
 from evetac_cli.events import FRAME_PX, Events
 from evetac_cli.kernels import event_drawing, event_representation
 from evetac_cli.kernels.calibration import grid

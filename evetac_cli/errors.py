@@ -13,18 +13,21 @@
 UnavailableError is not an InputError: code that catches InputError may replace the file, leave it out or report it as
 invalid, but the contents of a file that could not be read are unknown.
 
-Kernels raise ValueError. The stage that calls them knows the origin of the value and adds it to the message.
+Kernels raise ValueError, `check_range` and `check_whole` with a uniform message for a number out of range. The stage
+that calls them knows the origin of the value and adds it to the message.
 
 If files were made before an error or Ctrl-C, the exception carries their results: see `attach_outcome`.
 """
 
 import errno
+import math
 import os
 import shlex
 import signal
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from numbers import Integral
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -285,3 +288,41 @@ def error_dict(error: BaseException) -> dict[str, Any]:
         return {"kind": type(error).__name__, "message": message, **where, "exit_status": InputError.exit_code}
     message = f"{INTERNAL_ERROR}: {type(error).__name__}: {shortened(str(error))}"
     return {"kind": "InternalError", "message": message, "exit_status": 1}
+
+
+def check_range(
+    name: str,
+    value: float,
+    low: float = 0.0,
+    high: float = sys.float_info.max,
+    unit: str = "",
+    *,
+    above: bool = False,
+    below: bool = False,
+) -> None:
+    """Raise ValueError for NaN and for a number outside a range.
+
+    The range includes both ends; `above` excludes low, `below` excludes high. Without `high`, every finite number
+    starting at low is accepted.
+    """
+    if low < value < high or (value == low and not above) or (value == high and not below):
+        return
+    after = f" {unit}" if unit else ""
+    if high >= sys.float_info.max:
+        expected = f"above {low:g}{after}" if above else f"{low:g}{after} or more"
+    elif above:
+        expected = f"above {low:g}, {'below' if below else 'up to'} {high:g}{after}"
+    else:
+        expected = f"{low:g} to {'below ' if below else ''}{high:g}{after}"
+    if high == sys.float_info.max and math.isinf(value):
+        expected += ", finite"
+    raise ValueError(f"{name}: expected {expected}, found {value}")
+
+
+def check_whole(name: str, value: int, low: int, high: int, *, step: int = 1) -> None:
+    """Raise ValueError unless `value` is a whole number from low to high (both included) and a multiple of `step`."""
+    if not isinstance(value, Integral):
+        raise ValueError(f"{name}: expected a whole number, found {value!r}")
+    check_range(name, value, low, high)
+    if value % step:
+        raise ValueError(f"{name}: expected {low} to {high} in steps of {step}, found {value}")

@@ -8,6 +8,8 @@ that a user types, with placeholders in capitals; its value is a short descripti
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
 
+__version__ = "0.2.0"
+
 CAMERAS = {
     "sim": "",
     "virtual": "an emulated device with the real driver, faults e.g. virtual:unplug@2 (docs/hardware.md)",

@@ -28,7 +28,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.evaluate.labels.measure import is_near, judged, summary, true_onsets
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.estimates import Estimate, cluster_weights, ratio_of_clusters
-from evetac_cli.stages import label
+from evetac_cli.stages import label, label_methods
 from evetac_cli.store.recordings.onset import LabelledOnset, told_onset
 
 NAME = "labels"
@@ -67,7 +67,7 @@ def row_of(played: PlayedSlip, true: dict[str, int | None], method: str) -> Row:
     """Compare a method's labels of a slip with the truth; the run time is processor time."""
     began_s = time.process_time()
     try:
-        told = label.compute(played.as_recording(), Label(method=method))
+        told = label_methods.compute(played.as_recording(), Label(method=method))
     except InputError as error:
         onset = LabelledOnset(None, None, None, None, str(error).splitlines()[0])
     else:

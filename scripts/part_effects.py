@@ -56,7 +56,7 @@ from evetac_cli.jobs import Row, silent
 from evetac_cli.kernels.slip import metrics
 from evetac_cli.kernels.slip.metrics import shift_labels
 from evetac_cli.sim.setup.scene_file import changed
-from evetac_cli.stages import label
+from evetac_cli.stages import label, label_methods
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.text_files import as_toml
@@ -158,7 +158,7 @@ def slip(part: Part, object_: int, seed: int, folder: Path) -> Row:
     truth_ms, stop = chain.gross_slip_ms, chain.gross_slip_ms
     with open_recording(made.output) as recording:
         events = np.diff(recording.starts)[:stop]
-        true = label.from_truth(recording, metrics.F1_CUT_MS)
+        true = label_methods.from_truth(recording, metrics.F1_CUT_MS)
     with StageFile(output_path(made.output, "labels", None), "labels") as labels:
         labelled: NDArray[np.int8] = labels.read("label")
     predicted = prediction(output_path(made.output, "features", None))

@@ -14,8 +14,8 @@ NAMES = {
 DOORS = {
     "devices/virtual/gripper.py": {"openpty"},
     "formats/read/bags/bag_files.py": {"gettempdir"},
-    "kernel_cache.py": {"gettempdir"},
-    "local_server.py": {"ThreadingTCPServer"},
+    "kernels/kernel_cache.py": {"gettempdir"},
+    "realtime/local_server.py": {"ThreadingTCPServer"},
     "store/hdf5/disk.py": {"gettempdir"},
 }
 

@@ -11,7 +11,8 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
-from evetac_cli import console, kernel_cache
+from evetac_cli import console
+from evetac_cli.kernels import kernel_cache
 
 PATIENCE_S = 2.0  # shorter compilation is not reported
 AGAIN_S = 5.0  # time between two reports

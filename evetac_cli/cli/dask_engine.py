@@ -25,12 +25,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from evetac_cli import __version__, console, plugins
+from evetac_cli import console, plugins
 from evetac_cli.cli import workers
 from evetac_cli.cli.dask_worker import LOOK_S, ClusterCommand, WorkerRefused, check_worker, run_task
 from evetac_cli.errors import EvetacError, InputError, shortened
 from evetac_cli.interrupts import CTRL_C, SignalsLetThrough, signals_blocked
 from evetac_cli.jobs import Job, Outcome, Progress
+from evetac_cli.names import __version__
 
 GRACE_S = 5.0  # time for workers to stop
 TASK_S = 1.0  # shorter jobs are submitted together
@@ -271,7 +272,7 @@ class _Run:
 
     def _look_at_workers(self) -> None:
         """Exclude unsuitable workers, with a message; InputError if none has been suitable so far."""
-        versions = self.client.run(pkgutil.resolve_name, "evetac_cli:__version__", on_error="return")
+        versions = self.client.run(pkgutil.resolve_name, "evetac_cli.names:__version__", on_error="return")
         reasons = {
             address: "cannot import evetac"
             for address, version in versions.items()

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from evetac_cli import __version__, plugins
+from evetac_cli import plugins
 from evetac_cli.cli import workers
 from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import Job, Outcome, Progress
+from evetac_cli.names import __version__
 
 LOOK_S = 1.0  # interval at which a worker checks whether it must stop, and the command checks for new workers
 _one_job_at_a_time = threading.Lock()  # a worker may have several threads

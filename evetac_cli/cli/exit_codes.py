@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 
 import typer
 
-from evetac_cli import __version__, console, interrupts, kernel_cache, plugins
+from evetac_cli import console, interrupts, plugins
 from evetac_cli.cli.flags import Group, Running
 from evetac_cli.cli.standard_streams import OutputClosed, OutputError, end_as_by_sigpipe, open_streams
 from evetac_cli.errors import (
@@ -32,6 +32,8 @@ from evetac_cli.errors import (
     shortened,
 )
 from evetac_cli.jobs import Outcome
+from evetac_cli.kernels import kernel_cache
+from evetac_cli.names import __version__
 
 INTERRUPTED_CODE = 130
 UsageError: Any = typer.BadParameter.__base__  # not exported by typer; defined in click, or in typer's own copy of it

@@ -15,13 +15,14 @@ from typing import Annotated, Any
 
 import typer
 
-from evetac_cli import __version__, commands, console, interrupts
+from evetac_cli import commands, console, interrupts
 from evetac_cli.cli import config, execution, exit_codes, flags, workers
 from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.cli.flags import Running
 from evetac_cli.commands.parameter import Command
 from evetac_cli.errors import DeviceError, EvetacError, InputError, UnavailableError
 from evetac_cli.jobs import Outcome
+from evetac_cli.names import __version__
 
 OF_FOLDERS = ("repair",)  # inspectors that take folders themselves, not the files in them
 DOCTOR_PARTS = {"print_udev": "", "compile": ".compile_kernels", "speed": ".speed", "hardware": ".hardware_check"}

@@ -8,7 +8,7 @@ in modules without kernels.
 from numba import config, njit
 from numba.np import linalg
 
-from evetac_cli import kernel_cache
+from evetac_cli.kernels import kernel_cache
 
 __all__ = ["njit"]
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.checks import check_range, check_whole
+from evetac_cli.errors import check_range, check_whole
 from evetac_cli.events import FRAME_PX, SLICES_PER_S
 
 Kind = Literal["frames", "histogram", "voxels", "surface"]

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from scipy import fft, special
 
 from evetac_cli.arrays import Floats, Singles
-from evetac_cli.checks import check_range
+from evetac_cli.errors import check_range
 from evetac_cli.kernels.compiled import njit
 
 FINEST_HZ = 5000  # scan rate of the camera

@@ -29,7 +29,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.checks import check_range
+from evetac_cli.errors import check_range
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.contact import ForceCurve, closing_at, lookup
 from evetac_cli.sim.setup.sensor import SensorGripper

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from evetac_cli.local_server import PageServer
+from evetac_cli.realtime.local_server import PageServer
 from evetac_cli.trials.listen.door import Door
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts" / "attack"))

@@ -15,7 +15,7 @@ from evetac_cli.evaluate.labels import measure as evaluate_labels
 from evetac_cli.events import Events, empty
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.labelling import flow
-from evetac_cli.stages import label
+from evetac_cli.stages import label, label_methods
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe, content_digest
 from evetac_cli.store.recordings.read import open_recording, ramp_start
@@ -205,8 +205,8 @@ def test_an_onset_does_not_depend_on_the_mounting(made: Made, tmp_path: Path, mo
     """Assert that a recording is labelled alike wherever in the frame its window is."""
     place, frame_px = WAYS[mounting]
     with open_recording(made.recordings[0]) as upright:
-        expected = label.compute(upright, Label(after_ms=15))
-        window, gel = label.regions(upright)
+        expected = label_methods.compute(upright, Label(after_ms=15))
+        window, gel = label_methods.regions(upright)
         events = upright.between(0, len(upright))
         content: dict[str, Any] = {f"events/{name}": getattr(events, name) for name in Events._fields}
         x, y = place(events.x.astype(np.int64), events.y.astype(np.int64))
@@ -227,11 +227,11 @@ def test_an_onset_does_not_depend_on_the_mounting(made: Made, tmp_path: Path, mo
     path = tmp_path / "mounted.recording.h5"
     write_stage(path, Recipe("recording", 1, {}, content=content_digest(content)), content)
     with open_recording(path) as mounted:
-        regions = label.regions(mounted)
+        regions = label_methods.regions(mounted)
         assert expected.onset > 0
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(label, "ramp_start", lambda recording: start)
-            assert label.compute(mounted, Label(after_ms=15)).onset == expected.onset
+            patch.setattr(label_methods, "ramp_start", lambda recording: start)
+            assert label_methods.compute(mounted, Label(after_ms=15)).onset == expected.onset
     assert [(x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in regions] == [
         (x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in (window, gel)
     ]
@@ -242,7 +242,7 @@ def test_leaving_out_does_not_change_the_onset(made: Made) -> None:
     """Assert that steps, leaving out pairs, and smaller pictures give the onset that all pairs of all slices give."""
     with open_recording(made.recordings[0]) as recording:
         true = int(np.flatnonzero(recording.read("truth/slip"))[0])
-        window, gel = label.regions(recording)
+        window, gel = label_methods.regions(recording)
         result = [
             flow.label(recording.between, true + 12, window, gel, constants, true - 20)
             for constants in (

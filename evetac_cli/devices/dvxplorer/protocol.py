@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
-from evetac_cli.checks import check_range, check_whole
+from evetac_cli.errors import check_range, check_whole
 from evetac_cli.events import FRAME_PX
 
 VENDOR, PRODUCT = 0x152A, 0x8419  # shared by all DVXplorer models

@@ -31,7 +31,6 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeVar
 
 from evetac_cli import console
-from evetac_cli.checks import check_range, check_whole
 from evetac_cli.devices import GripperReading
 from evetac_cli.devices.rh_p12_rn.control_table import (
     CURRENT_MODE,
@@ -46,7 +45,7 @@ from evetac_cli.devices.rh_p12_rn.control_table import (
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import ANSWER_MS, RANGE_FAULT, Bus, InstructionRefused
 from evetac_cli.devices.rh_p12_rn.measurements import Measurements
 from evetac_cli.devices.rh_p12_rn.torque import SETTLE_S, Torque
-from evetac_cli.errors import DeviceError, EvetacError
+from evetac_cli.errors import DeviceError, EvetacError, check_range, check_whole
 from evetac_cli.interrupts import end_in_order
 
 Mode = Literal["current", "position"]

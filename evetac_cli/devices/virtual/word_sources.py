@@ -7,9 +7,9 @@ from threading import Condition
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.checks import check_range
 from evetac_cli.devices.dvxplorer.event_word_loops import REF_MASK
 from evetac_cli.devices.dvxplorer.event_words import encode
+from evetac_cli.errors import check_range
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.realtime.shared_time import HOST_TIME, READER_S, SharedTime, TimeSource
 

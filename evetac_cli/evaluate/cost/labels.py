@@ -23,7 +23,7 @@ from evetac_cli.commands.record import Record
 from evetac_cli.evaluate.common.rows import Extent, collect, difference, finite_or_none, run_times
 from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.kernels.labelling import flow
-from evetac_cli.stages import label
+from evetac_cli.stages import label_methods
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
 from evetac_cli.trials import record
 from evetac_cli.trials.trial import simulated_trials
@@ -105,7 +105,7 @@ def _record(params: Record, folder: Path, trials: int | None) -> list[Path]:
     for job in jobs[:trials]:
         record.run(job, rounds)
         with open_recording(job.output) as recording:
-            label.compute(recording, Label())
+            label_methods.compute(recording, Label())
             if true_onset(recording) is not None:
                 slipped.append(job.output)
     return slipped
@@ -155,17 +155,17 @@ def _every_slice(recording: Recording) -> tuple[int, float]:
     """Compute optical flow of both regions in every slice around the true onset."""
     start, stop = _round_onset(recording, AROUND_MS)
     constants = flow_constants(coarse_ms=1, after_ms=0, clear_px=math.inf)
-    onset = flow.label(recording.between, stop, *label.regions(recording), constants, start).onset
+    onset = flow.label(recording.between, stop, *label_methods.regions(recording), constants, start).onset
     begin = time.perf_counter()
     in_full = flow_constants(plain=True, coarse_ms=1, after_ms=0)
     first, last = _round_onset(recording, SAMPLE_MS)
-    labels = flow.label(recording.between, last, *label.regions(recording), in_full, first)
+    labels = flow.label(recording.between, last, *label_methods.regions(recording), in_full, first)
     return onset, (time.perf_counter() - begin) * US / max(labels.flow_pairs, 1)
 
 
 def _stage(params: Label) -> Method:
     """Return the method of the stage `label` with these parameters."""
-    return lambda recording: _time(recording, lambda: label.compute(recording, params))
+    return lambda recording: _time(recording, lambda: label_methods.compute(recording, params))
 
 
 def _time(recording: Recording, run: Callable[[], flow.Labels]) -> tuple[int, float]:

@@ -27,7 +27,7 @@ from evetac_cli.kernels.slip.architectures import Architecture
 from evetac_cli.kernels.slip.covariates import WORDS, SlipCovariates, of_labels, summary
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.metrics import Prediction, shift_labels
-from evetac_cli.stages.label import from_truth
+from evetac_cli.stages.label_methods import from_truth
 from evetac_cli.stages.model_files import (
     chosen_threshold,
     labelled_by,

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from evetac_cli import __version__
 from evetac_cli.formats.write.hub_card import inline
 from evetac_cli.jobs import Progress
+from evetac_cli.names import __version__
 from evetac_cli.store.files import StageFile, stem
 from evetac_cli.store.index import IndexRow
 from evetac_cli.text_files import as_utf8

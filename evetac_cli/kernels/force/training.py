@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from evetac_cli.arrays import Floats
-from evetac_cli.checks import check_range
+from evetac_cli.errors import check_range
 from evetac_cli.kernels.force.models import DenseLayer, Network, check_samples
 
 HIDDEN = (128, 128)  # units of the hidden layers (paper)

@@ -32,8 +32,7 @@ from dataclasses import dataclass, field, replace
 from numbers import Real
 from typing import Any, ClassVar, NamedTuple
 
-from evetac_cli.checks import check_range
-from evetac_cli.errors import EvetacError
+from evetac_cli.errors import EvetacError, check_range
 from evetac_cli.kernels.grip import load_proportional, paper
 from evetac_cli.kernels.grip.load_law import MARGIN, Felt, LoadLaw
 from evetac_cli.kernels.grip.paper import GraspPhase, GripLaw

@@ -17,7 +17,7 @@ import math
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
-from evetac_cli.checks import check_range
+from evetac_cli.errors import check_range
 
 PAPER_HZ = 500.0  # rate of control for which the paper gives its increments
 

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.checks import check_range
+from evetac_cli.errors import check_range
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.kernels.calibration.grid import MOST_DOTS
 from evetac_cli.kernels.compiled import njit

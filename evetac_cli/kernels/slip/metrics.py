@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.checks import check_range
+from evetac_cli.errors import check_range
 
 BUSY_EVENTS = 25  # a slice with more events outside the window is busy (paper, Model Training & Data Selection)
 

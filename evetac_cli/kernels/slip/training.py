@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from evetac_cli.checks import check_range
+from evetac_cli.errors import check_range
 from evetac_cli.kernels.slip import inputs
 from evetac_cli.kernels.slip.architectures import DotArchitecture
 from evetac_cli.kernels.slip.inputs import DotsAndExtras

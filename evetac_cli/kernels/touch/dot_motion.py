@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from evetac_cli.arrays import Floats
-from evetac_cli.checks import check_range
+from evetac_cli.errors import check_range
 from evetac_cli.kernels.gel_layer import Squeeze, compliance
 
 CELL_MM = 1.0  # half of the dots' pitch: shear finer than two pitches is aliased, not damped

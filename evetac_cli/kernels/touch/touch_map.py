@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from evetac_cli.arrays import Flags, Floats, Singles
-from evetac_cli.checks import check_range
+from evetac_cli.errors import check_range
 from evetac_cli.kernels.touch import patch, wrong_dots
 from evetac_cli.kernels.touch.dot_motion import (
     CELL_MM,

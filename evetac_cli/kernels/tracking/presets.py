@@ -6,7 +6,7 @@ they are equal.
 
 from dataclasses import dataclass, replace
 
-from evetac_cli.checks import check_range, check_whole
+from evetac_cli.errors import check_range, check_whole
 
 MAX_REACH_PX = 128.0  # keeps the integer sum of 1e6 pulls below 2**63
 

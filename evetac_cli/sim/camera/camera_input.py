@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.arrays import Floats
-from evetac_cli.checks import check_range
+from evetac_cli.errors import check_range
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera.contact_edges import ContactEdges, EdgePlace, LineMotion, check_place
 

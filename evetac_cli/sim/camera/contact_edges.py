@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.arrays import Floats
-from evetac_cli.checks import check_range
+from evetac_cli.errors import check_range
 from evetac_cli.kernels.compiled import njit
 
 # An object's edge ends where the error function is within 0.02 % of its limits; it is scaled to reach the limits there.

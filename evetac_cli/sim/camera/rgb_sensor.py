@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from evetac_cli.checks import check_range
+from evetac_cli.errors import check_range
 
 WINDOW_PX = (15, 15)  # window of the optical flow
 LEVELS = 2  # levels of the pyramid, in addition to the frame itself

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from evetac_cli.arrays import Floats
-from evetac_cli.checks import check_range
+from evetac_cli.errors import check_range
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel.cell_gaps import CellGaps, cell_samples, gaps_of, mean_depth
 from evetac_cli.sim.setup.object_file import Shape

@@ -19,7 +19,7 @@ import math
 import numpy as np
 
 from evetac_cli.arrays import Floats
-from evetac_cli.checks import check_range
+from evetac_cli.errors import check_range
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.gel_layer import ACROSS, SPRING
 

@@ -35,7 +35,7 @@ from typing import NamedTuple
 import numpy as np
 
 from evetac_cli.arrays import Flags, Floats
-from evetac_cli.checks import check_range
+from evetac_cli.errors import check_range
 from evetac_cli.kernels.gel_layer import SPRING, Squeeze
 from evetac_cli.sim.gel.contact import cell_area
 from evetac_cli.sim.gel.force_balance import work_memory

@@ -12,7 +12,6 @@ from pathlib import Path
 from evetac_cli.commands.label import Label
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome
-from evetac_cli.local_server import announce
 from evetac_cli.stages import one_file
 from evetac_cli.store.files import output_path
 from evetac_cli.store.recordings.read import open_recording
@@ -40,6 +39,7 @@ def jobs(files: Sequence[Path], out: Path | None) -> list[ReviewJob]:
 
 def run(job: ReviewJob, params: Label) -> Outcome:
     """Serve the page until the person is done, with a row for every kept label."""
+    from evetac_cli.realtime.local_server import announce
     from evetac_cli.stages.label_review.server import ReviewServer
 
     for path in job.labels:

@@ -14,7 +14,7 @@ from evetac_cli import console
 from evetac_cli.commands.label import Label
 from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import Rows
-from evetac_cli.local_server import PageServer, RequestRefused
+from evetac_cli.realtime.local_server import PageServer, RequestRefused
 from evetac_cli.stages.label_review.person import Verdict, keep, name_of
 from evetac_cli.stages.label_review.trial_data import trial_data
 from evetac_cli.store.recordings.read import open_recording

@@ -12,7 +12,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.kernels.labelling.flow import Labels
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.presets import PRESETS
-from evetac_cli.stages import label
+from evetac_cli.stages.label_methods import compute
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.onset import LabelledOnset, labelled_onset, told_onset
@@ -47,7 +47,7 @@ def onset_now(recording: Recording, labels: Path) -> tuple[LabelledOnset, dict[s
 def by_flow(recording: Recording) -> Labels | None:
     """Return labels by `event-flow`; None if the recording lacks required data."""
     try:
-        return label.compute(recording, Label())
+        return compute(recording, Label())
     except InputError:
         return None
 

@@ -23,8 +23,9 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli import __version__, plugins
+from evetac_cli import plugins
 from evetac_cli.errors import ForeignFile, InputError, SchemaError, made_by
+from evetac_cli.names import __version__
 from evetac_cli.store.hdf5.checked_hdf5 import MOST_TEXT_BYTES, CheckedHdf5
 from evetac_cli.store.layout import ancestry, schema
 from evetac_cli.text_files import SEED_BITS, parse_json

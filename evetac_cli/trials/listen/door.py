@@ -18,7 +18,7 @@ from typing import Any
 
 from evetac_cli import console
 from evetac_cli.errors import InputError
-from evetac_cli.local_server import ADDRESS, MOST_BYTES, MOST_CONNECTIONS, REQUEST_S, LocalServer
+from evetac_cli.realtime.local_server import ADDRESS, MOST_BYTES, MOST_CONNECTIONS, REQUEST_S, LocalServer
 from evetac_cli.text_files import parse_json
 
 LINE = re.compile(rb"127\.0\.0\.1 ([0-9]{1,5}) [A-Za-z0-9_-]{20,100}\n")

@@ -153,7 +153,7 @@ def opened(trial: Trial, name: str, *, moves: bool) -> Iterator[LiveView | None]
         yield None
         return
     # loads modules that a recording does not need
-    from evetac_cli.local_server import announce
+    from evetac_cli.realtime.local_server import announce
     from evetac_cli.trials.grasp.online_detector import open_view_detector
 
     title = Title(name, trial.shows_simulation, moves)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.interrupts import ignore_interrupts
-from evetac_cli.local_server import PageServer
+from evetac_cli.realtime.local_server import PageServer
 from evetac_cli.realtime.message_pipe import MessageReader
 from evetac_cli.realtime.processes import set_niceness
 from evetac_cli.resources import DATA

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from evetac_cli.errors import InputError
-from evetac_cli.local_server import ADDRESS, MOST_BYTES
+from evetac_cli.realtime.local_server import ADDRESS, MOST_BYTES
 from evetac_cli.resources import PACKAGE
 from evetac_cli.trials.listen.door import REFUSED, Door, address_file
 from tests.patience import PATIENCE_S, until

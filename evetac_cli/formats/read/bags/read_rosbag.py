@@ -31,7 +31,7 @@ from evetac_cli.formats.read.bags.ros_messages import (
     event_packet,
     evetac_image,
 )
-from evetac_cli.formats.read.prophesee.prophesee_words import ENCODINGS
+from evetac_cli.formats.read.prophesee.encodings import ENCODINGS
 from evetac_cli.formats.read.prophesee.read_prophesee import decoded
 from evetac_cli.formats.read.source import NOT_RECORDED, EventColumns, EventSource, choose_frame
 

@@ -1,7 +1,7 @@
 """The compiled loops of prophesee_words: decode the words of a block into columns. Each returns the number of events.
 
 - highs: the unwrapped high bits of time of the block, in the order of their words
-- state: one prophesee_words.STATE, the values at the beginning of the block, updated to its end
+- state: one encodings.STATE, the values at the beginning of the block, updated to its end
 - columns: space for the events
 - edges: space for the triggers
 """
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.formats.read.prophesee.prophesee_words import TIME_HIGH, TRIGGER
+from evetac_cli.formats.read.prophesee.encodings import TIME_HIGH, TRIGGER
 from evetac_cli.kernels.compiled import njit
 
 TYPES = 16

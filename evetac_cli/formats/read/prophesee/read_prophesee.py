@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.formats.note import CLOCK_LIMIT_US, NAME, Note, read_note
 from evetac_cli.formats.read.clock import BITS_32, Clock
-from evetac_cli.formats.read.prophesee.prophesee_words import ENCODINGS, MOST_UNDEFINED, PropheseeDecoder
+from evetac_cli.formats.read.prophesee.encodings import ENCODINGS
+from evetac_cli.formats.read.prophesee.prophesee_words import PropheseeDecoder
 from evetac_cli.formats.read.source import EventColumns, EventSource, at_index, choose_frame
 from evetac_cli.store.recordings.streams import Stream
 
@@ -35,6 +36,7 @@ HEAD_LIMIT_BYTES = BLOCK_BYTES = 1 << 20
 KINDS = {"2.0": "evt2", "evt2": "evt2", "2.1": "evt2.1", "evt21": "evt2.1", "3.0": "evt3", "evt3": "evt3"}
 # Shift and mask of column, row and polarity, by the version of DAT.
 DAT_FIELDS = {"dat1": ((0, 0x1FF), (9, 0xFF), (17, 1)), "dat2": ((0, 0x3FFF), (14, 0x3FFF), (28, 1))}
+MOST_UNDEFINED = 0.1  # share of words of undefined types above which a file has another encoding
 DAT_EVENTS, DAT_BYTES = (0x00, 0x0C), 8
 TRIGGERS = "external triggers; id: the input; edge: 1 rises, 0 falls"
 

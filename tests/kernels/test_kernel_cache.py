@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from evetac_cli import kernel_cache
 from evetac_cli.cli.main import app
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.errors import InputError
+from evetac_cli.kernels import kernel_cache
 from evetac_cli.resources import PACKAGE
 
 

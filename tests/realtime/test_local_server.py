@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from evetac_cli import local_server
-from evetac_cli.local_server import MOST_BYTES, MOST_CONNECTIONS, PageServer, announce
+from evetac_cli.realtime import local_server
+from evetac_cli.realtime.local_server import MOST_BYTES, MOST_CONNECTIONS, PageServer, announce
 from evetac_cli.stages.label_review import server as review
 from evetac_cli.trials.live_view import process as live_view
 from tests.patience import PATIENCE_S, until

@@ -19,12 +19,13 @@ from contextlib import suppress
 from pathlib import Path
 
 from evetac_cli.errors import InputError
+from evetac_cli.names import __version__
+from evetac_cli.resources import PACKAGE
 
-PACKAGE = Path(__file__).parent
 # Files and folders of all kernels, and of the constants in them.
 SOURCES = (
     *("kernels", "sim", "devices/dvxplorer", "formats/read/prophesee", "evaluate/cost", "trials/live_view"),
-    *("arrays.py", "checks.py", "events.py"),
+    *("arrays.py", "events.py"),
 )
 PREFIX = "evetac-kernels-"
 KEPT_S = 30 * 86400.0  # unused folders are removed after this time
@@ -33,8 +34,6 @@ SETTINGS = ".numba_config.yaml"  # numba reads this file from the working folder
 
 def folder() -> Path:
     """Return the folder for the present kernels, created if needed; InputError if there can be none."""
-    from evetac_cli import __version__
-
     name = f"{PREFIX}{__version__}-{_digest()}"
     beside = PACKAGE / "__pycache__"
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
