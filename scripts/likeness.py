@@ -1,4 +1,4 @@
-"""Measure how well the simulator reproduces published facts, and write the figures for docs/likeness.md.
+"""Measure how well the simulator reproduces published facts, and write the figures for docs/evidence/likeness.md.
 
     python scripts/likeness.py before|after [--seed 4000] [--each 1] [--rates 3] [--edges 5] [--jobs 2] [--folder NAME]
     python scripts/likeness.py after --tables-alone      # in a second: figures from docs/results anew, no recordings

@@ -12,7 +12,7 @@ Only predictions that can be measured in a recording are included. Each setting 
 recording of the data-rate scene, with the same seeds in all settings.
 
 Each row is written to the file as soon as it is measured; a second run measures only the missing rows. This takes about
-six minutes of processor time. `make results` writes the table into docs/likeness.md.
+six minutes of processor time. `make results` writes the table into docs/evidence/likeness.md.
 """
 
 from collections.abc import Callable
@@ -161,7 +161,7 @@ RATE_COLUMNS = (
 
 
 def as_page(results: Path, as_table: Callable[[list[str], list[list[str]]], str]) -> str:
-    """Return the table of docs/likeness.md. `as_table` makes Markdown from headings and rows."""
+    """Return the table of docs/evidence/likeness.md. `as_table` makes Markdown from headings and rows."""
     rows = of_tasks(tasks(), kept(results / FOLDER.name / f"{NAME}.json"))
     found = [predictions(setting, rows) for setting in SETTINGS]
     heads = ["constant", "times", *(head for head, _ in (*COLUMNS, *RATE_COLUMNS))]

@@ -1,4 +1,4 @@
-"""The tables of docs/likeness.md: every public fact, with evetac's figures before and after a change of the simulator.
+"""The tables of docs/evidence/likeness.md: every public fact, with evetac's figures before and after a change.
 
 The facts come from evetac_cli/data/likeness.toml. evetac's figures come from docs/results/likeness/before.json and
 after.json, which scripts/likeness.py writes; after.json may be missing. Each comparison is computed when the tables are

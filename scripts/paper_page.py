@@ -1,4 +1,4 @@
-"""Write the tables of docs/paper.md from the rows of paper_rows.py."""
+"""Write the tables of docs/evidence/paper.md from the rows of paper_rows.py."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -67,22 +67,6 @@ def as_rows(results: Path, as_table: AsTable) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def as_demands(results: Path, as_table: AsTable) -> str:
-    """Return the table of a referee's demands, with the places where they are fulfilled."""
-    demands = read()["demands"]
-    lines = [
-        [
-            str(one["number"]),
-            one["demand"],
-            one["fulfilled"],
-            one["left"],
-            ", ".join(f"`{place['file']}`" for place in one["places"]),
-        ]
-        for one in demands
-    ]
-    return as_table(["", "demand", "fulfilled by", "what is left", "places"], lines) + "\n"
-
-
 def _method(entry: Row) -> str:
     differs = entry.get("differs")
     return f"{entry['computed']['verdict']}: {differs}" if differs else str(entry["computed"]["verdict"])
@@ -113,5 +97,4 @@ AS_PAGES = {
     "paper-answer": as_answer,
     "paper-not-reproduced": as_missed,
     "paper-rows": as_rows,
-    "paper-demands": as_demands,
 }

@@ -1,7 +1,7 @@
 """The rows of the paper, each with evetac's figure or method beside it; paper_page.py writes the page about them.
 
     python scripts/paper_rows.py            # computes what scripts/paper-rows.json has as `computed`, and `awaiting`
-    python scripts/results.py               # writes the tables of docs/paper.md
+    python scripts/results.py               # writes the tables of docs/evidence/paper.md
 
 `scripts/paper-rows.json` has a row for every statement of the paper. A figure names the table of docs/results, the row
 and the field with evetac's figure; a method names the module and the test that show it. What can be computed is
@@ -251,7 +251,7 @@ def needed(table: str) -> set[str]:
 
 
 def read(path: Path = ROWS) -> Row:
-    """Return the file of rows and demands."""
+    """Return the file of rows."""
     content: Row = json.loads(path.read_text())
     return content
 

@@ -1,12 +1,13 @@
 """Write the tables of docs/results/ as Markdown into the README and the pages of docs/.
 
     python scripts/results.py [--results docs/results] [README.md docs/...]
+    python scripts/results.py --show slip-by-object     # prints one table, also one that no page has
 
 Two comments in a page mark the position of a table: `<!-- table NAME -->` and `<!-- end of NAME -->`. The text made
-from docs/results/NAME.json is written between them. The README's table `summary` takes one cell from each of several
-tables. likeness_tables.py makes the tables of docs/likeness.md. Tables of run times, in measured/, have their own mark,
-`<!-- measured NAME -->`. `freeze` marks the sentences on the frozen commit, with
-the number of frozen files that have changed since.
+from docs/results/NAME.json is written between them; pages have only some of the tables. The README's table `summary`
+takes one cell from each of several tables. likeness_tables.py makes the tables of docs/evidence/likeness.md. Tables of
+run times, in measured/, have their own mark, `<!-- measured NAME -->`. `freeze` marks the sentences on the frozen
+commit, with the number of frozen files that have changed since.
 
 A result file has flat rows and describes how to show them. `columns` lists a heading and a cell for each column, as
 Python format strings over a row. If rows are spread over columns, `across` describes one column for each distinct
@@ -40,6 +41,8 @@ from evetac_cli.jobs import Row
 
 Result = dict[str, Any]
 ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted((DOCS / "evidence").glob("*.md"))]
 
 
 MEASURED = "measured"  # folder of the tables of run times, and the word of their marks
@@ -54,7 +57,7 @@ OF_SCRIPTS = {
     "likeness-topics": lambda results, as_table: likeness_tables.topics(results) + "\n",
     **paper_page.AS_PAGES,
 }
-OF_COVARIATES = ("median", "p10", "p90")
+MOST_ROWS = 10  # of a table that a page shows unfolded
 # The module that defines METHOD, the method version, of each command.
 MODULES = {name: command.module for name, command in WITH_CONFIG.items()}
 MODULES["train-force --method touch"] = "stages.force.adapt_touch"
@@ -135,11 +138,11 @@ def ranges(values: Iterable[int]) -> str:
 
 
 def how_made(result: Result) -> str:
-    """Return a sentence with the commands, seeds, core hours and computer behind a result."""
-    words = "Made by " + ", ".join(f"`{command}`" for command in result["commands"])
+    """Return a sentence with the seeds, core hours and computer behind a result; its file also has the commands."""
+    words = f"Commands: `docs/results/{result['name']}.json`"
     scripts = [ROOT / word for command in result["commands"] for word in command.split() if word.startswith("scripts/")]
     if not all(script.exists() for script in scripts):
-        words = "Made by a script that was removed after that commit"
+        words += ", by a script that was removed after that commit"
     sizes = result.get("sizes") or {}
     for what, name in (("recordings", "recording_seeds"), ("trainings", "training_seeds")):
         if seeds := sizes.get(name):
@@ -152,27 +155,23 @@ def as_table(heads: list[str], rows: Iterable[list[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in (heads, ["---"] * len(heads), *rows))
 
 
-def covariates(result: Result) -> list[str]:
-    """Return a sentence and a table on the covariates of a result's slips, or an empty list if it has none."""
-    rows = result.get("covariates")
-    if not rows:
-        return []
-    known = [[row["covariate"], *(f"{row[key]:.3g}" for key in OF_COVARIATES), str(row["n"])] for row in rows]
-    simulated = "Simulated. " if result["simulated"] else ""
-    said = f"{simulated}Slips used for evaluation, median and 10-90 % range ([covariates](results.md#covariates)):"
-    return [said, as_table(["covariate", "median", "10 %", "90 %", "n"], known)]
+def folded(heading: str, parts: Iterable[str]) -> str:
+    """Return parts of a page that open when the heading is clicked, on GitHub as on the site."""
+    summary = re.sub("`([^`]*)`", r"<code>\1</code>", heading)
+    return "\n\n".join(['<details markdown="1">', f"<summary>{summary}</summary>", *parts, "</details>"])
 
 
 def text(result: Result) -> str:
-    """Return a result as Markdown: covariates of its slips, title, table, notes, commands and seeds."""
+    """Return a result as Markdown: title, table, notes and seeds; a table of more than ten rows is folded."""
     heads, *rows = lines(result)
     title = ("Simulated. " if result["simulated"] else "") + result["title"]
     made = result["made"]
     if older := changes(result):
         made += f"; older method versions: {', '.join(older)}"
-    heading = f"{title} ({made}):"
-    table = as_table(heads, rows)
-    return "\n\n".join([*covariates(result), heading, table, *result["notes"], how_made(result)]) + "\n"
+    parts = [as_table(heads, rows), *result["notes"], how_made(result)]
+    if len(rows) > MOST_ROWS:
+        return folded(f"{title} ({made}), {len(rows)} rows", parts) + "\n"
+    return "\n\n".join([f"{title} ({made}):", *parts]) + "\n"
 
 
 def summary(results: Path) -> str:
@@ -227,16 +226,21 @@ def as_figure(value: Any) -> str:
 def measured_text(stored: Row) -> str:
     """Return a stored table of run times as Markdown: a sentence, and the rows."""
     heads = list(dict.fromkeys(key for row in stored["rows"] for key in row))
-    rows = ([as_figure(row.get(key)).replace("_", " ") for key in heads] for row in stored["rows"])
-    return f"{stored['said']}:\n\n{as_table([head.replace('_', ' ') for head in heads], rows)}\n"
+    rows = [[as_figure(row.get(key)).replace("_", " ") for key in heads] for row in stored["rows"]]
+    table = as_table([head.replace("_", " ") for head in heads], rows)
+    return (folded(stored["said"], [table]) if len(rows) > MOST_ROWS else f"{stored['said']}:\n\n{table}") + "\n"
 
 
 def main() -> None:
     """Write the tables into the pages given on the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("pages", nargs="*", type=Path, default=[ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+    parser.add_argument("pages", nargs="*", type=Path, default=PAGES)
     parser.add_argument("--results", type=Path, default=ROOT / "docs" / "results")
+    parser.add_argument("--show", metavar="TABLE", help="print one table as Markdown, and write nothing")
     chosen = parser.parse_args()
+    if chosen.show:
+        print(text(json.loads((chosen.results / f"{chosen.show}.json").read_text())))
+        return
     for page in chosen.pages:
         page.write_text(fill_page(page.read_text(), chosen.results))
 

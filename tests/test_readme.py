@@ -28,10 +28,7 @@ import results
 from experiments import EXPERIMENTS
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = {
-    str(path.relative_to(ROOT)): path.read_text()
-    for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
-}
+PAGES = {str(path.relative_to(ROOT)): path.read_text() for path in results.PAGES}
 README = PAGES["README.md"]
 RESULTS = sorted((ROOT / "docs" / "results").glob("*.json"), key=lambda path: path.stem)
 
@@ -130,22 +127,15 @@ def test_tables_say_what_results_say() -> None:
         assert results.fill_page(page, ROOT / "docs" / "results") == page
 
 
-def test_every_table_has_a_file_and_a_place() -> None:
-    """Assert that each table of the experiments has a file and one place, and that no file lacks a place."""
-    tables = [table for experiment in EXPERIMENTS for table in experiment.tables]
-    names = {table.name for table in tables if table.kept}
+def test_every_table_has_a_file() -> None:
+    """Assert that tables on pages have files, that none stands twice, and that an experiment's kept tables have one."""
     places = re.findall(r"<!-- table ([\w-]+) -->", "".join(PAGES.values()))
     assert len(places) == len(set(places))
-    assert names <= set(places)
-    measured = re.findall(r"<!-- measured ([\w-]+) -->", "".join(PAGES.values()))
-    assert sorted(measured) == sorted(path.stem for path in (ROOT / "docs" / "results" / results.MEASURED).iterdir())
+    made = {"summary", results.FREEZE, *results.LIKENESS, *results.OF_SCRIPTS}
+    assert made <= set(places) <= made | {path.stem for path in RESULTS}
+    tables = [table for experiment in EXPERIMENTS for table in experiment.tables]
+    assert {table.name for table in tables if table.kept} <= {path.stem for path in RESULTS}
     assert not {table.name for table in tables if not table.kept} & set(places)
-    assert {path.stem for path in RESULTS} == set(places) - {
-        "summary",
-        results.FREEZE,
-        *results.LIKENESS,
-        *results.OF_SCRIPTS,
-    }
 
 
 @pytest.mark.parametrize("path", RESULTS, ids=lambda path: path.stem)
@@ -201,7 +191,7 @@ def test_a_changed_digit_of_a_sentence_is_found() -> None:
 
 def test_a_changed_digit_or_mark_of_a_table_is_found(tmp_path: Path) -> None:
     """Assert that a digit, and a mark, changed by hand in a page differ from what the page is made from."""
-    page = PAGES["docs/results.md"]
+    page = PAGES["docs/evidence/results.md"]
     marked = re.search(r"\| [^|\n]*\((?:[\d.%, -]|sd )+, (?:other|same) \w+\)", page)
     assert marked is not None
     cell = marked[0]

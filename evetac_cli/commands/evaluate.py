@@ -165,8 +165,8 @@ class EvaluateCost:
     )
     seed: int = parameter(
         10000,
-        "Seed of the first trial. Constants of evetac were chosen on seeds below 10,000; docs/results.md lists the"
-        " exceptions.",
+        "Seed of the first trial. Constants of evetac were chosen on seeds below 10,000;"
+        " docs/evidence/results.md lists the exceptions.",
         low=0,
         high=2**31 - 1 - 10000,
     )

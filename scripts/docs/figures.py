@@ -1,7 +1,7 @@
 """Count the sentences of pages of results whose decimal figures come from no table, and list them.
 
     python scripts/docs/figures.py                  # one row per page
-    python scripts/docs/figures.py --list docs/results.md
+    python scripts/docs/figures.py --list docs/evidence/results.md
 
 A comment above a paragraph names the figures that it quotes: `<!-- figure TABLE {"COLUMN": VALUE} COLUMN:FORMAT -->`,
 with values that select a row of docs/results/TABLE.json. `<!-- given 0.5 -->` names figures that are no results, such
@@ -23,14 +23,9 @@ ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "docs" / "results"
 PAGES = (
     "README.md",
-    *(
-        f"docs/{name}.md"
-        for name in (
-            "results", "likeness", "slip-detector", "touch-maps", "identify", "disturbances", "stability", "cost",
-            "evaluate-cost", "labels", "simulator",
-        )
-    ),
-)  # fmt: skip
+    *(f"docs/{name}.md" for name in ("slip-detector", "touch-maps", "identify", "disturbances", "labels", "simulator")),
+    *(f"docs/evidence/{name}.md" for name in ("results", "likeness", "stability", "cost", "simulation", "touch")),
+)
 MARK = re.compile(r"<!-- figure ([\w/-]+) ({.*?}) (\w[\w ]*?)(?::(\S+))? -->")
 GIVEN = re.compile(r"<!-- given ([\d. ]+) -->")
 DECIMAL = re.compile(r"(?<![\w.])(?<!Python )(?<!arXiv[ :])\d+\.\d+(?!\.?\d|\w)")

@@ -152,7 +152,7 @@ def _controllers() -> str:
         law = LAWS.get(name)
         if is_dataclass(law):
             lines.append(_constants({name: asdict(law)}, comments(type(law))))
-    lines.append("The [results](../results.md) show how many objects each controller held, and how firmly.\n")
+    lines.append("The [results](../evidence/results.md) show how many objects each controller held, and how firmly.\n")
     return "\n".join(lines)
 
 

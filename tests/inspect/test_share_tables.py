@@ -149,7 +149,7 @@ def test_limitations_are_those_of_the_files(folder: Path, hub: Path, tmp_path: P
 
 
 def test_what_is_off_is_what_the_page_says() -> None:
-    """Assert that the facts that a card names are those that docs/likeness.md lists as off."""
-    page = (Path(__file__).resolve().parents[2] / "docs" / "likeness.md").read_text()
+    """Assert that the facts that a card names are those that docs/evidence/likeness.md lists as off."""
+    page = (Path(__file__).resolve().parents[2] / "docs" / "evidence" / "likeness.md").read_text()
     listed = next(match[0] for match in re.finditer(r"(?:^- `[\w-]+`: .*\n)+", page, re.MULTILINE))
     assert [line.split("`")[1] for line in listed.splitlines()] == list(NOT_LIKE)

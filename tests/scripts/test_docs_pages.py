@@ -126,8 +126,9 @@ def test_committed_pages_are_those_of_the_code(every: dict[str, str]) -> None:
 def test_every_page_is_in_the_navigation(every: dict[str, str]) -> None:
     """Assert that mkdocs.yml leads to each page of the reference, and to each page of docs/."""
     nav = (ROOT / "mkdocs.yml").read_text().partition("\nnav:")[2].split()
-    written = [f"reference/{path}" for path in every] + [path.name for path in (ROOT / "docs").glob("*.md")]
-    assert [path for path in written if path not in nav] == []
+    docs = {str(path.relative_to(ROOT / "docs")) for path in (ROOT / "docs").rglob("*.md")}
+    written = docs | {f"reference/{path}" for path in every}
+    assert sorted(written - set(nav)) == []
 
 
 def test_snippets_run(every: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

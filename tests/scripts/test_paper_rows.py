@@ -95,15 +95,6 @@ def test_what_is_not_reproduced_has_a_reason() -> None:
         assert one["computed"]["verdict"] in (*paper_rows.VERDICTS, paper_rows.NOT_YET)
 
 
-def test_demands_are_met_somewhere() -> None:
-    """Assert that the fifteen demands name places that exist and hold the text by which they are found."""
-    assert [one["number"] for one in CONTENT["demands"]] == list(range(1, 16))
-    for one in CONTENT["demands"]:
-        assert one["demand"] and one["fulfilled"] and one["places"]
-        for place in one["places"]:
-            assert place["has"] in (ROOT / place["file"]).read_text(), (one["number"], place)
-
-
 # The rules -----------------------------------------------------------------------------------------------------------
 
 

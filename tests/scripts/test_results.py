@@ -56,11 +56,11 @@ RESULT = {
 
 
 def test_a_table_says_how_it_was_made() -> None:
-    """Assert that title, commit, marks, notes, commands and seeds stand around the rows."""
+    """Assert that title, commit, marks, notes, place of the commands and seeds stand around the rows."""
     assert results.text(RESULT) == (
         "Simulated. Grip of object 3 (commit abc1234):\n\n| who | kept (paper) |\n| --- | --- |\n"
         "| a | 0.50 (0.80, fitted) |\n| b | 1.00 |\n\nA note.\n\n"
-        "Made by `evetac evaluate grasp *.recording.h5`; seeds of recordings 7-9, 20.\n"
+        "Commands: `docs/results/grip.json`; seeds of recordings 7-9, 20.\n"
     )
 
 
@@ -78,10 +78,10 @@ def test_the_summary_takes_cells_of_tables(tmp_path: Path, monkeypatch: pytest.M
     )
 
 
-def test_covariates_stand_above_the_table() -> None:
-    """Assert that a table of slips begins with the covariates of its slips where there are any, and says simulated."""
-    row = {"covariate": "creep [ms]", "median": 12.0, "p10": 8.0, "p90": 20.5, "n": 40}
-    lines = results.text(RESULT | {"covariates": [row]}).split("\n\n")
-    assert lines[0].startswith("Simulated. ") and "covariates" in lines[0]
-    assert lines[1].splitlines()[-1] == "| creep [ms] | 12 | 8 | 20.5 | 40 |"
-    assert "\n\n".join(lines[2:]) == results.text(RESULT)
+def test_a_long_table_is_folded() -> None:
+    """Assert that a table of more than ten rows opens on a click, with the same parts."""
+    text = results.text(RESULT | {"title": "Grip of `a`", "rows": 6 * RESULT["rows"]})  # type: ignore[operator]
+    assert text.startswith(
+        '<details markdown="1">\n\n<summary>Simulated. Grip of <code>a</code> (commit abc1234), 12 rows</'
+    )
+    assert text.endswith("A note.\n\n" + results.how_made(RESULT) + "\n\n</details>\n")

@@ -1,8 +1,8 @@
 """evaluate likeness: what recordings, simulated or real, show for each public fact about the sensor.
 
-There is a row per fact, in the order of docs/likeness.md: the public figure, the figures of simulated and of real
-recordings, and how both compare. If there is no figure, the row states what is needed for one, such as trainings or
-grasps; docs/likeness.md has those of evetac. Then there is a row per recording with all its measures.
+There is a row per fact, in the order of docs/evidence/likeness.md: the public figure, the figures of simulated and
+of real recordings, and how both compare. If there is no figure, the row states what is needed for one, such as
+trainings or grasps; docs/evidence/likeness.md has those of evetac. Then there is a row per recording with all its measures.
 `_values` are the figures as a JSON list, because a fact may have several.
 
 Kernels are imported where they are called, so that a report that is up to date loads none.
@@ -111,7 +111,7 @@ def for_people(rows: Rows, params: EvaluateLikeness) -> tuple[Rows, list[str]]:
     elsewhere = sum(row["not_told"] is None for row in of_facts) - len(checkable)
     lines = [
         f"These recordings provide {len(checkable)} facts, constants {elsewhere} more (--json lists all);"
-        " docs/likeness.md explains each.",
+        " docs/evidence/likeness.md explains each.",
         f"Of the {len(counted)} counted facts, {known_count} are known in simulation: {within} within the published"
         f" spread, {near} more of the same sign and between half and twice the published figure.",
     ]

@@ -1,7 +1,7 @@
 """The public facts about the real sensor: their sources, and the figures of evetac to compare.
 
-They are listed only in data/likeness.toml. docs/likeness.md, `evetac evaluate likeness` and the comments `fitted to
-NAME` next to constants refer to them by name. Figures of the paper come from paper.py.
+They are listed only in data/likeness.toml. docs/evidence/likeness.md, `evetac evaluate likeness` and the comments
+`fitted to NAME` next to constants refer to them by name. Figures of the paper come from paper.py.
 
 Every fact has a class, because a fact by which a constant was chosen confirms nothing when it agrees. The classes are
 `used to fit`, `kept as a prediction`, and `cannot be told`: public sources contradict each other or do not state what

@@ -25,15 +25,15 @@ SPLITS = {
     "test": ("test", "testing", "eval", "evaluation", "unseen"),
 }
 OTHER = "other"
-# The facts in docs/likeness.md that the simulator does not match; a test compares the two lists.
+# The facts in docs/evidence/likeness.md that the simulator does not match; a test compares the two lists.
 NOT_LIKE = ("official-2024", "official-2026", "paper-on-slip", "lost-regularised", "force-by-papers-tracker")
 UNLIKE = (
     "The simulated sensor is known to differ from the real one. In simulation, an object that slides over the gel drags"
     " along dots that the published trackers keep, and under a slow shear the paper's tracker loses them, which spoils"
     " shear force. Also, no dot radius fits both the paper's equations and the"
-    f" published code. These are the facts {', '.join(f'`{name}`' for name in NOT_LIKE)} in docs/likeness.md of evetac,"
-    " which lists all public facts and how well the simulator matches them. `evetac evaluate likeness` compares"
-    " recordings with the same facts."
+    f" published code. These are the facts {', '.join(f'`{name}`' for name in NOT_LIKE)} in docs/evidence/likeness.md"
+    " of evetac, which lists all public facts and how well the simulator matches them. `evetac evaluate likeness`"
+    " compares recordings with the same facts."
 )
 # The estimates of each kind of file: its columns in the tables, and the estimator.
 ESTIMATED = {
