@@ -1,8 +1,8 @@
 """evaluate likeness: what recordings, simulated or real, show for each public fact about the sensor.
 
-There is a row per fact, in the order of docs/evidence/likeness.md: the public figure, the figures of simulated and
-of real recordings, and how both compare. If there is no figure, the row states what is needed for one, such as
-trainings or grasps; docs/evidence/likeness.md has those of evetac. Then there is a row per recording with all its measures.
+There is a row per fact, in the order of docs/evidence/likeness.md: the public figure, the figures of simulated and of
+real recordings, and how both compare. If there is no figure, the row states what is needed for one, such as trainings
+or grasps; docs/evidence/likeness.md has those of evetac. Then there is a row per recording with all its measures.
 `_values` are the figures as a JSON list, because a fact may have several.
 
 Kernels are imported where they are called, so that a report that is up to date loads none.
