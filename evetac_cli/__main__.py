@@ -25,7 +25,7 @@ def main() -> None:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         from evetac_cli.cli.main import main as run
 
-        if interrupts.interrupt_came():  # an import may swallow what a signal raises
+        if interrupts.interrupt_received():  # an import may swallow what a signal raises
             _end()
     except KeyboardInterrupt:
         _end()

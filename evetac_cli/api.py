@@ -429,7 +429,7 @@ def simulate(
     ((7, 8, 2), 0)
     """
     first = plans(scene_name, str(object_number), sensor, SCENE_KINDS, gel, solver=solver)[0]
-    plan = first.of_trial((seed, seed_of(first.called), 0))
+    plan = first.of_trial((seed, seed_of(first.object_name), 0))
     return Simulation(SimulatedTrial((), Path(), 0, seed, plan))
 
 

@@ -109,7 +109,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         render_mode: str | None = None,
     ) -> None:
         self._plans = {
-            each.called: replace(each, scene=_varied(each.scene, mass_factor, hand_mm_s, lift_s))
+            each.object_name: replace(each, scene=_varied(each.scene, mass_factor, hand_mm_s, lift_s))
             for each in plans(scene, objects, sensor, ("lift",), gel)
         }
         plan = next(iter(self._plans.values())).of_trial((0,))
@@ -149,14 +149,14 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
         super().reset(seed=seed)
         names = list(self._plans)
-        called = names[int(self.np_random.choice(len(names)))]
+        object_name = names[int(self.np_random.choice(len(names)))]
         seeds = [int(part) for part in self.np_random.integers(2**31, size=4)]
         if options and "object" in options:
-            called = options["object"]
-            if called not in self._plans:
+            object_name = options["object"]
+            if object_name not in self._plans:
                 listed = ", ".join(map(str, self._plans))
-                raise InputError("not one of the objects", where="options", expected=listed, found=f"{called}")
-        plan = self._plans[called].of_trial(seeds)
+                raise InputError("not one of the objects", where="options", expected=listed, found=f"{object_name}")
+        plan = self._plans[object_name].of_trial(seeds)
         self._mm_per_px = plan.sensor.mm_per_px
         devices = rig(plan, np.random.SeedSequence(seeds), **self._durations)
         assert isinstance(devices.gripper, SimulatedGripper)
@@ -166,7 +166,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self._detector = open_detector(model, devices.camera.sensor, presets.PRESETS["stable"])
         self._control = _Chosen(FixedGrip(0), self._timing.control_hz)
         self._playing = grasp_slices(devices, self._detector, self._control, self._timing)
-        self._sample = {"object": called, "mass_kg": json.loads(devices.sampled)["mass_kg"], "simulated": True}
+        self._sample = {"object": object_name, "mass_kg": json.loads(devices.sampled)["mass_kg"], "simulated": True}
         self._lifted = False
         self._moved_mm = 0.0
         self._slices = 0

@@ -1,7 +1,7 @@
 """Signals that end a program: which of them raise an exception, are remembered, or are delayed.
 
 Interrupts are remembered because KeyboardInterrupt may be raised inside an import or a callback of numba's compiler,
-where it is swallowed or turned into another error. So code that starts something new checks `interrupt_came` first.
+where it is swallowed or turned into another error. So code that starts something new checks `interrupt_received` first.
 
 Ctrl-C goes to all processes of a terminal. The process that the user started ends the others in order; those ignore
 Ctrl-C (`ignore_interrupts`). SIGTERM and similar signals may be sent to one process alone. Its loop then ends at the
@@ -29,7 +29,7 @@ ENDING = tuple(
 ALL = (signal.SIGINT, *ENDING)
 
 Handler = Callable[[int, FrameType | None], None]
-_came: list[int] = []  # interrupts that were raised
+_received: list[int] = []  # interrupts that were raised
 _waiting: list[int] = []  # interrupts to be raised when a file is written
 _delayed: list[int] = []  # signals that arrived within `signals_blocked`, through another thread
 _handlers: dict[int, Any] = {}  # their handlers for when they are raised
@@ -42,8 +42,8 @@ def catch_interrupts(*, every: bool = True) -> None:
     """
 
     def remember(number: int, frame: FrameType | None) -> None:
-        first = not _came
-        _came.append(number)
+        first = not _received
+        _received.append(number)
         if first or every:
             raise KeyboardInterrupt
 
@@ -52,9 +52,9 @@ def catch_interrupts(*, every: bool = True) -> None:
         signal.signal(number, remember)
 
 
-def interrupt_came() -> bool:
+def interrupt_received() -> bool:
     """Whether an interrupt arrived since `catch_interrupts`, even if its exception was swallowed."""
-    return bool(_came)
+    return bool(_received)
 
 
 def _show_unless_interrupt(swallowed: "sys.UnraisableHookArgs") -> None:
@@ -62,7 +62,7 @@ def _show_unless_interrupt(swallowed: "sys.UnraisableHookArgs") -> None:
 
     Interrupts are remembered. An object that was left incomplete by an interrupt may raise when it is deleted.
     """
-    if not _came and not isinstance(swallowed.exc_value, KeyboardInterrupt):
+    if not _received and not isinstance(swallowed.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(swallowed)
 
 
@@ -163,9 +163,9 @@ def _hold(number: int, frame: FrameType | None) -> None:
 
 def _let_through(numbers: Collection[int]) -> None:
     """Raise the delayed signals, one of each kind, as the system does."""
-    came = [number for number in dict.fromkeys(_delayed) if number in numbers]
+    received = [number for number in dict.fromkeys(_delayed) if number in numbers]
     _delayed[:] = [number for number in _delayed if number not in numbers]
-    for number in came:
+    for number in received:
         signal.raise_signal(number)
 
 
@@ -194,12 +194,12 @@ def leave_if_interrupted() -> None:
 
 
 @contextmanager
-def signals_counted(came: Sequence[int] = ()) -> Iterator[list[int]]:
+def signals_counted(received: Sequence[int] = ()) -> Iterator[list[int]]:
     """Yield a list to which Ctrl-C and other ending signals are added, so that a recording ends between slices.
 
     A second signal raises KeyboardInterrupt. A signal that is already ignored, such as SIGHUP under nohup, stays
     ignored.
-    came: signals that arrived earlier and should have aborted; if there are any, KeyboardInterrupt is raised at once.
+    received: signals that arrived before and should have aborted; if there is any, KeyboardInterrupt is raised now.
     """
     signals: list[int] = []
     if not _in_main_thread():
@@ -212,7 +212,7 @@ def signals_counted(came: Sequence[int] = ()) -> Iterator[list[int]]:
             raise KeyboardInterrupt
 
     with _handled(count):
-        if came:
+        if received:
             raise KeyboardInterrupt
         yield signals
 
@@ -224,21 +224,21 @@ def signals_interrupt() -> Iterator[list[int]]:
     The yielded list of signals is for `signals_counted`: an exception raised while modules or compiled code are loaded
     may be swallowed by a callback.
     """
-    came: list[int] = []
+    received: list[int] = []
     if not _in_main_thread():
-        yield came
+        yield received
         return
     before = {number: signal.getsignal(number) for number in ALL}
 
     def interrupt(number: int, frame: Any) -> None:
-        came.append(number)
+        received.append(number)
         handler = before[number]
         if callable(handler):
             handler(number, frame)
         raise KeyboardInterrupt
 
     with _handled(interrupt):
-        yield came
+        yield received
 
 
 @contextmanager
@@ -247,12 +247,12 @@ def signals_held() -> Iterator[None]:
     if not _in_main_thread():
         yield
         return
-    came: list[tuple[int, Any]] = []
+    received: list[tuple[int, Any]] = []
     before = {number: signal.getsignal(number) for number in ALL}
-    with _handled(lambda number, frame: came.append((number, frame))):
+    with _handled(lambda number, frame: received.append((number, frame))):
         yield
     raised: BaseException | None = None
-    for number, frame in came:
+    for number, frame in received:
         handler = before[number]
         try:
             if callable(handler):

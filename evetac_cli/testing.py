@@ -178,7 +178,7 @@ def check_importer(name: str, file: Path) -> Imported:
     assert all(len(mark) >= imports.LEAST_MARK for mark in row.begins), "a mark is so short that it may occur by chance"
     read = read_events(file)
     assert read.format == name, f"the file was read as {read.format}"
-    assert set(row.said) <= set(imports.SAID), "allowed options are --stream, --columns and --time-unit"
+    assert set(row.options) <= set(imports.OPTIONS), "allowed options are --stream, --columns and --time-unit"
     with tempfile.TemporaryDirectory() as folder:
         for length in range(len(head), file.stat().st_size, max(1, file.stat().st_size // 50)):
             part = Path(folder) / file.name

@@ -92,7 +92,7 @@ class Thing:
         return cls(shape, width_m, height_m, rng.uniform(0.05, 0.4), rng.uniform(0.5, 1.0))
 
     @property
-    def touched(self) -> dict[str, Any]:
+    def object(self) -> dict[str, Any]:
         """Describe the object as `TouchSensor` expects it."""
         shape = "flat" if self.shape == "box" else "cylinder"
         return {"shape": shape, "width_mm": self.width_m * 1e3, "static_friction": self.friction}
@@ -185,7 +185,7 @@ def grasp(seed: int, controller: str, film: "Film | None" = None) -> dict[str, A
     rng = np.random.default_rng(seed)
     thing = Thing.drawn(rng)
     gripper = Gripper(thing, Drive())
-    sensor = evetac.TouchSensor(object=thing.touched, rng=rng)
+    sensor = evetac.TouchSensor(object=thing.object, rng=rng)
     control = Control(make_law(controller))
     detector = detector_for(sensor) if uses_detector(control.law) else None
     goal, normal_n, began = gripper.position_ticks, 0.0, time.process_time()

@@ -39,14 +39,14 @@ def make(size: str, out: Path, jobs: int, *, force: bool) -> None:
 
     Finished recordings are kept in NAME.parts beside it until then, so that an interrupted run goes on where it ended.
     """
-    said = benchmark_trials.recipe()
-    chosen = benchmark_trials.slots(said, size)
+    recipe = benchmark_trials.recipe()
+    chosen = benchmark_trials.slots(recipe, size)
     recorded = [slot for slot in chosen if slot.kind != "grip"]
     require_replaceable(out, force=force)
     parts = out.with_name(f"{out.name}.parts")
     _prepare_parts(parts)
     rows = []
-    for row in _each([(said, slot, parts) for slot in recorded], jobs):
+    for row in _each([(recipe, slot, parts) for slot in recorded], jobs):
         rows.append(row)
         sys.stderr.write(f"{len(rows)} of {len(recorded)}: {row['recording']}\n")
     with new_folder(out, force=force) as folder:
@@ -54,8 +54,8 @@ def make(size: str, out: Path, jobs: int, *, force: bool) -> None:
         for row in rows:
             for name in (f"inputs/{row['recording']}.recording.h5", f"truth/{row['recording']}.h5"):
                 shutil.copyfile(parts / name, folder / name)
-        lifts = {slot.name: _lift(said, slot, folder) for slot in chosen if slot.kind == "grip"}
-        finish(folder, said, size, rows, lifts)
+        lifts = {slot.name: _lift(recipe, slot, folder) for slot in chosen if slot.kind == "grip"}
+        finish(folder, recipe, size, rows, lifts)
     shutil.rmtree(parts)
 
 
@@ -75,15 +75,15 @@ def prepare(folder: Path) -> None:
         (folder / name).mkdir(parents=True)
 
 
-def finish(folder: Path, said: Mapping[str, Any], size: str, rows: Sequence[Row], lifts: Mapping[str, Row]) -> None:
+def finish(folder: Path, recipe: Mapping[str, Any], size: str, rows: Sequence[Row], lifts: Mapping[str, Row]) -> None:
     """Write everything but the recordings and their truth: tables, recipe, reader, digests, card and metadata."""
     rows = sorted(rows, key=lambda row: str(row["recording"]))
     _tables(folder, rows, lifts)
     shutil.copy(RECIPE, folder / "recipe.toml")
     shutil.copy(READER, folder / "reader.py")
     about = {
-        "name": said["name"],
-        "version": said["version"],
+        "name": recipe["name"],
+        "version": recipe["version"],
         "size": size,
         "simulated": True,
         "recipe_sha256": hashlib.sha256(RECIPE.read_bytes()).hexdigest(),
@@ -94,42 +94,42 @@ def finish(folder: Path, said: Mapping[str, Any], size: str, rows: Sequence[Row]
     benchmark_pages.write(folder, about, rows, lifts)
 
 
-def _each(asked: Sequence[tuple[Any, ...]], jobs: int) -> Iterable[Row]:
+def _each(task: Sequence[tuple[Any, ...]], jobs: int) -> Iterable[Row]:
     if jobs == 1:
-        yield from map(_record, asked)
+        yield from map(_record, task)
         return
     with multiprocessing.get_context("spawn").Pool(jobs) as pool:
-        yield from pool.imap_unordered(_record, asked)
+        yield from pool.imap_unordered(_record, task)
 
 
-def _record(asked: tuple[Mapping[str, Any], Slot, Path]) -> Row:
+def _record(task: tuple[Mapping[str, Any], Slot, Path]) -> Row:
     """Simulate a trial and write its input, its truth and at last its row, which is returned; unless it exists."""
-    said, slot, parts = asked
+    recipe, slot, parts = task
     done = parts / "rows" / f"{slot.name}.json"
     if done.exists():
         return dict(json.loads(done.read_text()))
     whole = parts / f"{slot.name}.recording.h5"
-    made = benchmark_trials.trial(said, slot, whole)
+    made = benchmark_trials.trial(recipe, slot, whole)
     if isinstance(made.trial, SimulatedGrasp):
         grasp.simulated.run(made.trial, force=True, progress=silent)
     else:
         record.simulated.run(made.trial, force=True, progress=silent)
-    row = divide(said, whole, parts, slot.name, sensor_name(said, made.sensor), presses=slot.kind == "press")
+    row = divide(recipe, whole, parts, slot.name, sensor_name(recipe, made.sensor), presses=slot.kind == "press")
     row |= {"kind": slot.kind, "split": slot.split, "mm_per_px": made.trial.plan.sensor.mm_per_px}
-    row |= {"true_sensor": made.sensor, "true_object": made.touched, "motion": made.motion, "seed": slot.seed}
+    row |= {"true_sensor": made.sensor, "true_object": made.object_name, "motion": made.motion, "seed": slot.seed}
     whole.unlink()
     with taking_the_place_of(done) as temporary:
         temporary.write_text(json.dumps(row))
     return row
 
 
-def divide(said: Mapping[str, Any], whole: Path, folder: Path, name: str, sensor: str, *, presses: bool) -> Row:
+def divide(recipe: Mapping[str, Any], whole: Path, folder: Path, name: str, sensor: str, *, presses: bool) -> Row:
     """Write a recording as an input without truth, and its truth apart; return what tables and digests need."""
     with open_recording(whole) as recording:
         arrays = input_arrays(recording, sensor)
-        true = truth_arrays(recording, said, presses=presses)
+        true = truth_arrays(recording, recipe, presses=presses)
         slices = len(recording)
-    about = {"benchmark": said["name"], "benchmark_version": said["version"], "recording": name}
+    about = {"benchmark": recipe["name"], "benchmark_version": recipe["version"], "recording": name}
     digest = content_digest(arrays)
     recipe = Recipe("recording", METHOD, about, content=digest, simulated_source=True)
     write_stage(folder / "inputs" / f"{name}.recording.h5", recipe, arrays)
@@ -147,13 +147,13 @@ def divide(said: Mapping[str, Any], whole: Path, folder: Path, name: str, sensor
     }
 
 
-def sensor_name(said: Mapping[str, Any], sensor: str) -> str:
+def sensor_name(recipe: Mapping[str, Any], sensor: str) -> str:
     """Return the name of a sensor in the inputs, from which its parameters do not follow; evetac's is known."""
     if sensor == "evetac":
         return sensor
     most = 1000
-    names = np.random.default_rng(said["first_sensor"] + 1).permutation(most)
-    return f"sensor-{names[int(sensor.partition(':')[2]) - said['first_sensor']]:03d}"
+    names = np.random.default_rng(recipe["first_sensor"] + 1).permutation(most)
+    return f"sensor-{names[int(sensor.partition(':')[2]) - recipe['first_sensor']]:03d}"
 
 
 def input_arrays(recording: Recording, sensor: str) -> dict[str, Any]:
@@ -168,28 +168,28 @@ def input_arrays(recording: Recording, sensor: str) -> dict[str, Any]:
     return {**kept, "sensor/name": sensor}
 
 
-def truth_arrays(recording: Recording, said: Mapping[str, Any], *, presses: bool) -> dict[str, Any]:
+def truth_arrays(recording: Recording, recipe: Mapping[str, Any], *, presses: bool) -> dict[str, Any]:
     """Return what the scorer compares with: slip and contact in each ms, dots and forces at the instants judged."""
     slices = len(recording)
-    dots_ms = np.arange(said["dots_every_ms"], slices, said["dots_every_ms"])
+    dots_ms = np.arange(recipe["dots_every_ms"], slices, recipe["dots_every_ms"])
     true = {name: recording.read(f"truth/{name}") for name in TRUTH}
     onset = true_onset(recording) if recording.has("gripper") else None
     true["onset_ms"] = np.int64(-1 if onset is None else onset)
     true |= {"dots_ms": dots_ms, "dot_xy_px": recording.read("truth/dot_xy_px")[dots_ms]}
     if presses:
-        force_ms = np.arange(said["force_every_ms"], slices, said["force_every_ms"])
+        force_ms = np.arange(recipe["force_every_ms"], slices, recipe["force_every_ms"])
         true |= {"force_ms": force_ms, "shear_force_n": recording.read("truth/shear_force_n")[force_ms]}
     else:
         true |= {"force_ms": np.zeros(0, np.int64), "shear_force_n": np.zeros((0, 2), np.float32)}
     return true
 
 
-def _lift(said: Mapping[str, Any], slot: Slot, folder: Path) -> Row:
+def _lift(recipe: Mapping[str, Any], slot: Slot, folder: Path) -> Row:
     """Write scene and object of a closed-loop lift; return its row."""
-    texts, flags, called = benchmark_trials.lift_files(said, slot, folder / "truth" / "lifts")
+    texts, flags, object_name = benchmark_trials.lift_files(recipe, slot, folder / "truth" / "lifts")
     for name, text in texts.items():
         (folder / "truth" / "lifts" / f"{slot.name}.{name}.toml").write_text(text)
-    return {"split": slot.split, "object": called, **flags}
+    return {"split": slot.split, "object": object_name, **flags}
 
 
 def _tables(folder: Path, rows: Sequence[Row], lifts: Mapping[str, Row]) -> None:

@@ -49,44 +49,44 @@ def recipe() -> dict[str, Any]:
     return tomllib.loads(RECIPE.read_text())
 
 
-def slots(said: Mapping[str, Any], size: str) -> list[Slot]:
+def slots(recipe: Mapping[str, Any], size: str) -> list[Slot]:
     """Return the trials of a size by their names; those of the small size are also in the full one."""
-    splits = list(said["splits"])
+    splits = list(recipe["splits"])
     most = len(splits) * SPLIT_SEEDS
-    names = np.random.default_rng(said["first_seed"]).permutation(most)
+    names = np.random.default_rng(recipe["first_seed"]).permutation(most)
     found = []
     for (at, split), (number, kind) in itertools.product(enumerate(splits), enumerate(KINDS)):
-        for place in range(said["sizes"][size][kind]):
+        for place in range(recipe["sizes"][size][kind]):
             offset = SPLIT_SEEDS * at + KIND_SEEDS * number + place
-            found.append(Slot(f"r{names[offset]:03d}", split, kind, place, said["first_seed"] + offset))
+            found.append(Slot(f"r{names[offset]:03d}", split, kind, place, recipe["first_seed"] + offset))
     return sorted(found, key=lambda slot: slot.name)
 
 
-def candidates(said: Mapping[str, Any], slot: Slot) -> Iterator[tuple[str, int]]:
+def candidates(recipe: Mapping[str, Any], slot: Slot) -> Iterator[tuple[str, int]]:
     """Yield sensors of a trial in order of preference, each with a shift in the list of objects."""
-    if said["splits"][slot.split]["sensor"] == "evetac":
+    if recipe["splits"][slot.split]["sensor"] == "evetac":
         yield from (("evetac", shift) for shift in range(TRIES))
         return
-    split = list(said["splits"]).index(slot.split)
-    first = said["first_sensor"] + SPLIT_SEEDS * split + (slot.place + 2 * KINDS.index(slot.kind)) % said["sensors"]
-    yield from ((f"randomized:{first + said['sensors'] * at}", at // SAME_OBJECT) for at in range(TRIES))
+    split = list(recipe["splits"]).index(slot.split)
+    first = recipe["first_sensor"] + SPLIT_SEEDS * split + (slot.place + 2 * KINDS.index(slot.kind)) % recipe["sensors"]
+    yield from ((f"randomized:{first + recipe['sensors'] * at}", at // SAME_OBJECT) for at in range(TRIES))
 
 
-def object_of(said: Mapping[str, Any], slot: Slot, shift: int = 0) -> tuple[int, str, TouchedObject]:
+def object_of(recipe: Mapping[str, Any], slot: Slot, shift: int = 0) -> tuple[int, str, TouchedObject]:
     """Return the number of a row in the paper's table, the name, and the object of a trial."""
     at = slot.place + KINDS.index(slot.kind) + shift
-    if said["splits"][slot.split]["objects"] == "known":
-        number = said["known_objects"][at % len(said["known_objects"])]
+    if recipe["splits"][slot.split]["objects"] == "known":
+        number = recipe["known_objects"][at % len(recipe["known_objects"])]
         return number, f"paper-{number}", object_file.of_number(number)
-    name = list(said["objects"])[at % len(said["objects"])]
-    return SCENE_OBJECT, name, object_file.of_keys(said["objects"][name], str(RECIPE), object_file.HELD)
+    name = list(recipe["objects"])[at % len(recipe["objects"])]
+    return SCENE_OBJECT, name, object_file.of_keys(recipe["objects"][name], str(RECIPE), object_file.HELD)
 
 
-def face_of(said: Mapping[str, Any], slot: Slot) -> str:
+def face_of(recipe: Mapping[str, Any], slot: Slot) -> str:
     """Return the name of the face of a press."""
-    if said["splits"][slot.split]["objects"] == "known":
+    if recipe["splits"][slot.split]["objects"] == "known":
         return "paper"
-    new = [name for name in said["faces"] if name != "paper"]
+    new = [name for name in recipe["faces"] if name != "paper"]
     return new[slot.place % len(new)]
 
 
@@ -96,28 +96,28 @@ class Made:
 
     trial: SimulatedTrial
     sensor: str
-    touched: str
+    object_name: str
     motion: str
 
 
-def trial(said: Mapping[str, Any], slot: Slot, output: Path) -> Made:
+def trial(recipe: Mapping[str, Any], slot: Slot, output: Path) -> Made:
     """Return the trial of a slot with the first sensor and object with which it can be played and resolved."""
-    for sensor, shift in candidates(said, slot):
+    for sensor, shift in candidates(recipe, slot):
         if slot.kind == "press":
-            made = _pressed(said, slot, sensor, output)
+            made = _pressed(recipe, slot, sensor, output)
         else:
-            made = _held(said, slot, sensor, output, shift)
+            made = _held(recipe, slot, sensor, output, shift)
         if _can_be_played(made.trial, must_resolve=slot.kind == "slip"):
             return made
     raise SystemExit(f"{slot}: expected a sensor and an object with which it can be played among {TRIES}, found none")
 
 
-def _held(said: Mapping[str, Any], slot: Slot, sensor: str, output: Path, shift: int) -> Made:
-    keys = said["kinds"][slot.kind]
+def _held(recipe: Mapping[str, Any], slot: Slot, sensor: str, output: Path, shift: int) -> Made:
+    keys = recipe["kinds"][slot.kind]
     motion = keys["motions"][slot.place % len(keys["motions"])]
-    number, called, touched = object_of(said, slot, shift)
+    number, object_name, object = object_of(recipe, slot, shift)
     rng = np.random.default_rng([PARAMETERS, slot.seed])
-    planned = motions.planned(motion, number, slot.seed, sensor, touched=touched)
+    planned = motions.planned(motion, number, slot.seed, sensor, object=object)
     scene = planned.plan.scene
     scene = replace(scene, gel=replace(scene.gel, cut=True))
     if slot.kind == "slip":
@@ -129,16 +129,16 @@ def _held(said: Mapping[str, Any], slot: Slot, sensor: str, output: Path, shift:
     planned = planned._replace(plan=replace(planned.plan, scene=scene))
     if slot.kind == "lift":
         planned = planned._replace(lift_s=keys["lift_s"], balance_s=keys["balance_s"])
-    return Made(trial_of(planned, slot.seed, output), sensor, called, motion)
+    return Made(trial_of(planned, slot.seed, output), sensor, object_name, motion)
 
 
-def _pressed(said: Mapping[str, Any], slot: Slot, sensor: str, output: Path) -> Made:
-    keys, face = said["kinds"]["press"], face_of(said, slot)
+def _pressed(recipe: Mapping[str, Any], slot: Slot, sensor: str, output: Path) -> Made:
+    keys, face = recipe["kinds"]["press"], face_of(recipe, slot)
     rng = np.random.default_rng([PARAMETERS, slot.seed])
     normal_n = float(rng.uniform(*keys["normal_n"]))
     motion = {"normal_n": normal_n, "shear_n": keys["shear_share"] * normal_n, "count": keys["count"]}
     motion |= {"pause_s": keys["pause_s"], "offset_mm": 5.0}
-    size = {"size_mm": None, "radius_mm": None, **said["faces"][face]}
+    size = {"size_mm": None, "radius_mm": None, **recipe["faces"][face]}
     path = output.with_suffix(".scene.toml")
     path.write_text(scene_file.changed("shear", {"name": "bench-press", "face": size, "motion": motion}))
     (one,) = record.jobs([], Record(scene=str(path), sensor=sensor, seed=slot.seed), output)
@@ -171,12 +171,12 @@ def _lift_of(one: SimulatedTrial) -> tuple[int, float, float]:
     return int(one.settings.controller.partition(":")[2]), one.settings.lift_s, one.settings.balance_s
 
 
-def lift_files(said: Mapping[str, Any], slot: Slot, folder: Path) -> tuple[dict[str, str], dict[str, Any], str]:
+def lift_files(recipe: Mapping[str, Any], slot: Slot, folder: Path) -> tuple[dict[str, str], dict[str, Any], str]:
     """Return scene and object of a closed-loop lift as TOML, the flags of `evetac grasp` that play it, and the object.
 
     folder: where the files are written for a moment, to check whether the lift can be played.
     """
-    keys = said["kinds"]["grip"]
+    keys = recipe["kinds"]["grip"]
     rng = np.random.default_rng([PARAMETERS, slot.seed])
     changes: dict[str, Any] = {
         "name": "bench-lift",
@@ -185,13 +185,13 @@ def lift_files(said: Mapping[str, Any], slot: Slot, folder: Path) -> tuple[dict[
     if drop_g := float(rng.choice(keys["drop_g"])):
         changes["drop"] = {"mass_g": drop_g, "after_s": round(float(rng.uniform(0.5, 2.0)), 2), "speed_m_s": 0.5}
     scene = scene_file.changed("lift", changes)
-    for sensor, shift in candidates(said, slot):
-        _, called, touched = object_of(said, slot, shift)
-        row = {key: value for key, value in vars(touched).items() if value is not None}
-        texts = {"scene": scene, "object": as_toml({"name": called, **row})}
+    for sensor, shift in candidates(recipe, slot):
+        _, object_name, object = object_of(recipe, slot, shift)
+        row = {key: value for key, value in vars(object).items() if value is not None}
+        texts = {"scene": scene, "object": as_toml({"name": object_name, **row})}
         flags = {"sensor": sensor, "seed": slot.seed, "lift_s": keys["lift_s"], "balance_s": keys["balance_s"]}
         if _can_be_lifted(texts, flags, folder):
-            return texts, flags, called
+            return texts, flags, object_name
     raise SystemExit(f"{slot}: expected a sensor on which it can be played among {TRIES}, found none")
 
 

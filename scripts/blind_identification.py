@@ -327,7 +327,7 @@ def parameter_rows(results: list[Row]) -> list[Row]:
         )
         low, high = parameter.prior
         row = {"parameter": parameter.name, "part": parameter.part, "prior_low": low, "prior_high": high}
-        row |= {"sensors": len(results), "told": len(intervals), "held": held if intervals else None}
+        row |= {"sensors": len(results), "estimated": len(intervals), "held": held if intervals else None}
         worst = max(one[0] for one in intervals) if intervals else None
         rows.append({**row, "width_mean": width, "width_worst": worst, "found": is_found})
     return rows
@@ -367,10 +367,10 @@ def summary(results: list[Row], parameters: list[Row], areas: list[Row]) -> Row:
         "sensors": len(results),
         "parameters": len(parameters),
         "parameters_found": sum(row["found"] for row in parameters),
-        "never_told": [row["parameter"] for row in parameters if row["told"] == 0],
+        "never_estimated": [row["parameter"] for row in parameters if row["estimated"] == 0],
         **means,
         "twins_like_the_sensor": sum(bool(row["twin_is_like"]) for row in areas),
-        "others_told_apart": sum(bool(row["other_is_not"]) for row in areas),
+        "others_distinguished": sum(bool(row["other_is_not"]) for row in areas),
         "seconds_a_sensor": float(np.mean([row["seconds"] for row in results])),
     }
 

@@ -262,7 +262,7 @@ def training(
     return {**about, "figures": rows}
 
 
-def said(found: Row) -> Iterator[str]:
+def summary_lines(found: Row) -> Iterator[str]:
     """Yield the result of a check in words."""
     figures = found["figures"]
     without = [row for row in figures if row["inside"] is None]
@@ -334,4 +334,8 @@ def check(names: Sequence[str], out: Path, *, dry_run: bool = False, as_json: bo
             unfinished.write_text(json.dumps(found, indent=1) + "\n")
             unfinished.replace(path)
         results.append(found)
-    print(json.dumps(results, indent=1) if as_json else "\n".join(line for found in results for line in said(found)))
+    print(
+        json.dumps(results, indent=1)
+        if as_json
+        else "\n".join(line for found in results for line in summary_lines(found))
+    )

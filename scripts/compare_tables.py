@@ -1,7 +1,19 @@
-"""Compare a table that was made again with the stored one: equal rows, differences, and figures in intervals."""
+"""Compare a table that was made again with the stored one: equal rows, differences, and figures in intervals.
 
+    python scripts/compare_tables.py COMMIT    # the tables of docs/results with those of an earlier commit
+
+renamed.json lists the columns that got another name since, by file.
+"""
+
+import json
+import lzma
 import math
+import re
+import subprocess
+import sys
 from collections.abc import Sequence
+from fnmatch import fnmatch
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +24,50 @@ from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels.estimates import LEVEL, Estimate, cluster_weights, ratio_of_clusters, share
 
 FEWEST = 3  # units of resampling for an interval
+ROOT = Path(__file__).resolve().parents[1]
+RENAMED = Path(__file__).with_name("renamed.json")
+
+
+def renamed(value: Any, file: str) -> Any:
+    """Return the contents of a file of docs/results with the names that its columns have now, also in cells."""
+    found = json.loads(RENAMED.read_text())
+    names = {old: new for pattern, pairs in found.items() if fnmatch(file, pattern) for old, new in pairs.items()}
+
+    def of(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {names.get(name, name): of(each) for name, each in value.items()}
+        if isinstance(value, list):
+            return [of(each) for each in value]
+        return (
+            re.sub(r"\{(\w+)", lambda cell: "{" + names.get(cell[1], cell[1]), value)
+            if isinstance(value, str)
+            else value
+        )
+
+    return of(value)
+
+
+def changed_since(commit: str) -> list[str]:
+    """Return the files of docs/results that differ from those of a commit in more than the names of columns."""
+    git = ("git", "-C", str(ROOT))
+    listed = subprocess.run(
+        [*git, "ls-tree", "-r", "--name-only", commit, "docs/results"], capture_output=True, check=True
+    )
+    found = []
+    for path in listed.stdout.decode().split():
+        old = subprocess.run([*git, "show", f"{commit}:{path}"], capture_output=True, check=True).stdout
+        now = ROOT.joinpath(path).read_bytes() if ROOT.joinpath(path).exists() else b""
+        old_lines, new_lines = (_parsed(data, path) for data in (old, now))
+        if renamed(old_lines, path.removeprefix("docs/results/")) != new_lines:
+            found.append(path)
+    return found
+
+
+def _parsed(data: bytes, path: str) -> Any:
+    if ".json" not in path:
+        return data.hex()
+    text = (lzma.decompress(data) if path.endswith(".xz") else data).decode()
+    return [json.loads(line) for line in text.splitlines()] if ".jsonl" in path else json.loads(text or "null")
 
 
 def named(row: Row, check: Check) -> str:
@@ -118,3 +174,9 @@ def judged(trials: Rows, made: Rows, kept: Rows, check: Check) -> Rows:
             what = {"row": named(row, check), "figure": figure.name, "stored": stored, "again": again}
             shown.append({**what, **ends, "equal": again == stored, "inside": True if again == stored else inside})
     return shown
+
+
+if __name__ == "__main__":
+    changed = changed_since(sys.argv[1])
+    print(*changed, f"{len(changed)} files of docs/results differ from those of {sys.argv[1]}", sep="\n")
+    sys.exit(bool(changed))

@@ -87,7 +87,7 @@ def drawn(seed: int) -> Drawn:
     of_lever, of_disturbance = rng.spawn(2)
     mass_g = float(np.exp(rng.uniform(*np.log(MASS_G))))
     friction = float(rng.uniform(*FRICTION))
-    touched = TouchedObject(
+    object = TouchedObject(
         shape=SHAPES[int(rng.integers(len(SHAPES)))],
         static_friction=friction,
         mass_g=mass_g,
@@ -96,17 +96,17 @@ def drawn(seed: int) -> Drawn:
     )
     plan = first_plan("lift", "11", "evetac" if rng.random() < 0.5 else f"randomized:{seed}")
     # the friction between the object and this gel
-    touched = replace(touched, static_friction=friction / plan.sensor.static_friction_factor)
+    object = replace(object, static_friction=friction / plan.sensor.static_friction_factor)
     scene = plan.scene
     gear, latency_ms = float(rng.uniform(*GEAR)), int(rng.integers(LATENCY_MS + 1))
     varied = replace(scene.randomise, static_friction=(1.0, 1.0), mass=(1.0, 1.0), lever_mm=0.0)
     scene = replace(scene, gripper=replace(scene.gripper, friction_factor=(gear, gear)), randomise=varied)
     disturbance = DISTURBANCES[int(rng.integers(len(DISTURBANCES)))]
     scene = _disturbed(scene, disturbance, mass_g, of_disturbance)
-    plan = replace(plan, scene=scene, called=CALLED)
+    plan = replace(plan, scene=scene, object_name=CALLED)
     while True:
         lever_mm = float(of_lever.uniform(-LEVER_MM, LEVER_MM))
-        one = Drawn(seed, replace(plan, touched=replace(touched, lever_mm=lever_mm)), latency_ms, disturbance)
+        one = Drawn(seed, replace(plan, object=replace(object, lever_mm=lever_mm)), latency_ms, disturbance)
         if _simulation(one.rig(camera=False)).holding_n <= MOST_HOLDING_N:
             return one
 
@@ -143,7 +143,7 @@ def _simulation(devices: Rig) -> GraspSimulation:
 
 
 @dataclass(frozen=True)
-class Asked:
+class Options:
     """Settings of the law and its detector that replace the defaults of `grasp`; None: the default."""
 
     margin: float | None = None
@@ -164,26 +164,26 @@ class Asked:
 
     def file_name(self, law: str) -> str:
         """Return the file for the rows of a law."""
-        said = {name.replace("_", "-"): value for name, value in self.row().items() if value is not None}
-        words = [f"{name}-{value if isinstance(value, str) else format(value, 'g')}" for name, value in said.items()]
+        named = {name.replace("_", "-"): value for name, value in self.row().items() if value is not None}
+        words = [f"{name}-{value if isinstance(value, str) else format(value, 'g')}" for name, value in named.items()]
         return "-".join([law.replace(":", "-"), *words]) + ".jsonl"
 
 
-AS_SHIPPED = Asked()
+AS_SHIPPED = Options()
 
 
 @lru_cache  # reading a model file takes 1/20 of the time of a grasp
-def settings_of(law: str, latency_ms: int, asked: Asked) -> GraspSettings:
+def settings_of(law: str, latency_ms: int, options: Options) -> GraspSettings:
     """Return law, detector and timing for the flags of `grasp`; for an oracle, without the law."""
     named = "none" if law.startswith(grip_oracle.NAME) else law
-    flags = {"model": Path(SHIPPED), "lift_s": LIFT_S, "balance_s": BALANCE_S} | asked.flags()
+    flags = {"model": Path(SHIPPED), "lift_s": LIFT_S, "balance_s": BALANCE_S} | options.flags()
     return GraspSettings.of(Grasp(controller=named, latency_ms=latency_ms, **flags))
 
 
-def play(law: str, seed: int, asked: Asked = AS_SHIPPED) -> tuple[dict[str, Any], Row]:
+def play(law: str, seed: int, options: Options = AS_SHIPPED) -> tuple[dict[str, Any], Row]:
     """Run a grasp; return its datasets by their paths in a recording, without events, and its outcome."""
     one = drawn(seed)
-    settings = settings_of(law, one.latency_ms, asked)
+    settings = settings_of(law, one.latency_ms, options)
     timing = settings.timing(one.plan.scene.time.touch_s)
     camera = uses_detector(settings.law)
     devices = one.rig(camera=camera)
@@ -201,19 +201,19 @@ def play(law: str, seed: int, asked: Asked = AS_SHIPPED) -> tuple[dict[str, Any]
     arrays = buffer.row_arrays()
     sensor = one.plan.sensor
     figures = grasp_outcome.outcome(arrays, sensor.mm_per_px, timing.end_ms, sensor.gripper.force_per_current_n_ma)
-    touched = one.plan.touched
-    assert touched is not None
+    object = one.plan.object
+    assert object is not None
     return arrays, {
         "law": law,
         "seed": seed,
-        **asked.row(),
+        **options.row(),
         "threshold": None if settings.detector is None else settings.detector.threshold,
         "sensor": one.plan.sensor_name,
-        "shape": touched.shape,
-        "mass_g": touched.mass_g,
+        "shape": object.shape,
+        "mass_g": object.mass_g,
         "friction": simulation.sampled.static_friction,
-        "width_mm": touched.width_mm,
-        "lever_mm": touched.lever_mm,
+        "width_mm": object.width_mm,
+        "lever_mm": object.lever_mm,
         "carried_g": simulation.carried_kg * 1e3,
         "gear_friction": simulation.sampled.gear_friction_factor,
         "latency_ms": one.latency_ms,
@@ -222,22 +222,22 @@ def play(law: str, seed: int, asked: Asked = AS_SHIPPED) -> tuple[dict[str, Any]
     }
 
 
-def _of_one(one: tuple[str, int, Asked]) -> Row:
+def _of_one(one: tuple[str, int, Options]) -> Row:
     return play(*one)[1]
 
 
-def played(law: str, seeds: Sequence[int], folder: Path, jobs: int, asked: Asked = AS_SHIPPED) -> Rows:
+def played(law: str, seeds: Sequence[int], folder: Path, jobs: int, options: Options = AS_SHIPPED) -> Rows:
     """Return the rows of some grasps by a law; missing ones are run first and added to its file."""
-    path = folder / asked.file_name(law)
+    path = folder / options.file_name(law)
     there = {row["seed"] for row in rows_in(path)}
-    missing = [(law, seed, asked) for seed in seeds if seed not in there]
+    missing = [(law, seed, options) for seed in seeds if seed not in there]
     for row in _each(missing, jobs):
         add_rows(path, [row])
         sys.stderr.write(f"{law} {row['seed']}: {row['failure'] or 'kept'}\n")
     return [row for row in rows_in(path) if row["seed"] in set(seeds)]
 
 
-def _each(grasps: Sequence[tuple[str, int, Asked]], jobs: int) -> Iterator[Row]:
+def _each(grasps: Sequence[tuple[str, int, Options]], jobs: int) -> Iterator[Row]:
     if jobs == 1 or len(grasps) < 2:
         yield from map(_of_one, grasps)
         return
@@ -265,8 +265,8 @@ def main() -> None:
     if chosen.grip_margin is not None and chosen.law != ["load-proportional"]:
         parser.error("--grip-margin needs --law load-proportional, and no other law")
     seeds = chosen.seeds
-    asked = Asked(chosen.grip_margin, chosen.model, chosen.slip_threshold, chosen.false_alarms_per_min)
-    rows = [row for law in chosen.law for row in played(law, seeds, chosen.rows, chosen.jobs, asked)]
+    options = Options(chosen.grip_margin, chosen.model, chosen.slip_threshold, chosen.false_alarms_per_min)
+    rows = [row for law in chosen.law for row in played(law, seeds, chosen.rows, chosen.jobs, options)]
     if chosen.table:
         rows = [row for path in sorted(chosen.rows.glob("*.jsonl")) for row in rows_in(path) if row["seed"] in seeds]
     for row in summary(rows):
@@ -275,7 +275,7 @@ def main() -> None:
 
 def summary(rows: Rows) -> Rows:
     """Return a row for each law and its settings."""
-    names = ("law", *(item.name for item in fields(Asked)))
+    names = ("law", *(item.name for item in fields(Options)))
     groups: dict[tuple[Any, ...], Rows] = {}
     for row in rows:
         groups.setdefault(tuple(row.get(name) for name in names), []).append(row)

@@ -29,7 +29,7 @@ from evetac_cli.evaluate.labels.measure import is_near, judged, summary, true_on
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.estimates import Estimate, cluster_weights, ratio_of_clusters
 from evetac_cli.stages import label, label_methods
-from evetac_cli.store.recordings.onset import LabelledOnset, told_onset
+from evetac_cli.store.recordings.onset import LabelledOnset, onset_of_values
 
 NAME = "labels"
 METHODS = ("event-flow", "farneback")
@@ -67,11 +67,11 @@ def row_of(played: PlayedSlip, true: dict[str, int | None], method: str) -> Row:
     """Compare a method's labels of a slip with the truth; the run time is processor time."""
     began_s = time.process_time()
     try:
-        told = label_methods.compute(played.as_recording(), Label(method=method))
+        labels = label_methods.compute(played.as_recording(), Label(method=method))
     except InputError as error:
         onset = LabelledOnset(None, None, None, None, str(error).splitlines()[0])
     else:
-        onset = told_onset(told.onset, told.earliest, told.latest, told.confidence, told.doubt)
+        onset = onset_of_values(labels.onset, labels.earliest, labels.latest, labels.confidence, labels.doubt)
     took_s = time.process_time() - began_s
     return {**judged(onset, true, played.read("truth/slid_px")), "cpu_s": took_s, "slices": len(played)}
 
@@ -115,10 +115,10 @@ def _counts(row: Row) -> bool:
 
 def interval(flags: list[tuple[int, bool]]) -> Estimate | None:
     """Return the share of flags with its interval from resampled objects; None if there are fewer than two objects."""
-    objects, told = [number for number, _ in flags], np.array([flag for _, flag in flags], float)
+    objects, marked = [number for number, _ in flags], np.array([flag for _, flag in flags], float)
     if len(set(objects)) < 2:
         return None
-    return ratio_of_clusters(told, np.ones(len(told)), cluster_weights(objects))
+    return ratio_of_clusters(marked, np.ones(len(marked)), cluster_weights(objects))
 
 
 COLUMNS = {

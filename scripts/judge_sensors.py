@@ -108,14 +108,14 @@ def adapt(sensor: Sensor, model: Path, seed: int, folder: Path) -> None:
     row: Row = {"sensor": sensor.name, "seed": sensor.first(seed), "minutes": round(minutes, 3)}
     before = os.times()
     run("label", own)
-    told = [path for path in sorted(own.glob("*.labels.h5")) if tells_onset(path)]
-    row |= {"trials": len(list(own.glob("*.labels.h5"))), "told": len(told)}
-    if len(told) >= 2 * LEAST_HELD_BACK:
+    labelled = [path for path in sorted(own.glob("*.labels.h5")) if has_onset(path)]
+    row |= {"trials": len(list(own.glob("*.labels.h5"))), "labelled": len(labelled)}
+    if len(labelled) >= 2 * LEAST_HELD_BACK:
         run("track", own, "--preset", TRACKER)
         run("featurize", own, "--sticking-share")
         held_back = own / "validate"
         held_back.mkdir()
-        for labels in told[:: min(HELD_BACK, len(told) // LEAST_HELD_BACK)]:
+        for labels in labelled[:: min(HELD_BACK, len(labelled) // LEAST_HELD_BACK)]:
             features = labels.name.replace(".labels.", ".features.")
             (own / features).rename(held_back / features)
         run("train", own, "--adapt", model, "--validate", held_back, "--out", output, "--force")
@@ -127,7 +127,7 @@ def adapt(sensor: Sensor, model: Path, seed: int, folder: Path) -> None:
     sys.stdout.write(f"{row}\n")
 
 
-def tells_onset(path: Path) -> bool:
+def has_onset(path: Path) -> bool:
     """Whether the labels found an onset and did not abstain."""
     with StageFile(path, "labels") as file:
         onset = labelled_onset(file)
@@ -233,7 +233,7 @@ def main() -> None:
     shown = sensor_rows(rows, dict(zip(rows, map(thresholds_of, paths), strict=True)), before)
     own_rows = {row["sensor"]: row for row in rows_in(chosen.adapted / ADAPTED_ROWS)} if adapted else {}
     for row in shown:
-        row |= {key: own_rows.get(row["sensor"], {}).get(key) for key in ("told", "took_s")}
+        row |= {key: own_rows.get(row["sensor"], {}).get(key) for key in ("labelled", "took_s")}
     seeds = [row["seed"] for of in rows.values() for row in of]
     sizes = {"first": min(seeds), "last": max(seeds), "trials": {name: len(of) for name, of in rows.items()}}
     command = f"python scripts/judge_sensors.py judge --model {models_in_words(chosen.model)} --seed {seed} --rows ROWS"

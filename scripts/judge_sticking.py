@@ -55,7 +55,7 @@ def method_shares(trial: Trial, looks: Looks) -> dict[str, Singles]:
     at_mm = trial.in_mm(trial.rest_px)
     rigid = [rigid_slip_share(held, now, at_mm) for held, now in looks.fields_mm]
     none = np.zeros(len(looks.slices), np.float32)
-    return {"network": looks.told, "rigid": np.array(rigid, np.float32), "zero": none, "constant": none + CONSTANT}
+    return {"network": looks.estimated, "rigid": np.array(rigid, np.float32), "zero": none, "constant": none + CONSTANT}
 
 
 def alarms_of(share: Singles) -> Flags:
@@ -105,7 +105,7 @@ def judged(trial: Trial, looks: Looks) -> Row:
     shear = trial.shear_n[looks.slices]
     off = np.angle(np.exp(1j * (looks.direction_rad - np.arctan2(shear[:, 1], shear[:, 0]))))
     known = np.isfinite(off) & (at_looks > SLIPS)
-    within = (np.abs(looks.told - at_looks) < looks.sd)[between]
+    within = (np.abs(looks.estimated - at_looks) < looks.sd)[between]
     return row | {
         "directions": int(known.sum()),
         "direction_error_sum_rad": float(np.abs(off[known]).sum()),

@@ -75,8 +75,8 @@ def kept(when: str, rows: list[Row], chosen: argparse.Namespace) -> Row:
 
 def figures(row: Row) -> Row:
     """Return the stored row of a fact, from the row that `evetac evaluate likeness` printed."""
-    told = {"n": row["simulated_n"], "from": row["simulated_from"], "not_told": row["not_told"]}
-    return {"name": row["name"], "values": json.loads(row["simulated_values"]), **told}
+    found = {"n": row["simulated_n"], "from": row["simulated_from"], "not_measured": row["not_measured"]}
+    return {"name": row["name"], "values": json.loads(row["simulated_values"]), **found}
 
 
 def from_tables(stored: Row, results: Path = RESULTS) -> Row:
@@ -94,24 +94,25 @@ def _of_now(row: Row, fact: Fact, results: Path) -> Row:
     found = of_table(fact, results)
     if not found.values and fact.name in OF_LATER_TABLES:
         return row
-    return {**row, "values": [*found.values], "n": found.n, "from": found.origin, "not_told": found.untold or None}
+    figures = {"values": [*found.values], "n": found.n, "from": found.origin}
+    return {**row, **figures, "not_measured": found.not_measured or None}
 
 
 def of_table(fact: Fact, results: Path) -> Ours:
     """Return the figures of a fact that names a table of docs/results, or why there are none."""
     path = results / f"{fact.table}.json"
     if not path.is_file():
-        return Ours(untold=f"docs/results has no table {fact.table}")
+        return Ours(not_measured=f"docs/results has no table {fact.table}")
     table = json.loads(path.read_text())
     rows: Rows = table["rows"]
     selected_rows = [row for row in rows if fact.row is not None and fact.row.items() <= row.items()]
     origin = f"docs/results/{fact.table}.json, {table.get('made')}"
     if fact.row is not None and not selected_rows:
-        return Ours(origin=origin, untold=f"the table {fact.table} has no row {json.dumps(dict(fact.row))}")
+        return Ours(origin=origin, not_measured=f"the table {fact.table} has no row {json.dumps(dict(fact.row))}")
     derived = DERIVED.get(fact.value_of[0])
     values = derived(selected_rows or rows) if derived else tuple(map(selected_rows[0].get, fact.value_of))
     if all(value is None for value in values):
-        return Ours(origin=origin, untold=f"the table {fact.table} does not have it")
+        return Ours(origin=origin, not_measured=f"the table {fact.table} does not have it")
     places = (*selected_rows[:1], table.get("sizes") or {})
     trials = (int(place[key]) for place in places for key in SIZES if isinstance(place.get(key), int))
     return Ours(values, next(trials, None), origin)

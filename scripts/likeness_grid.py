@@ -36,7 +36,7 @@ def measured() -> list[Row]:
         pitch_mm = trials[0].plan.scene.solver.node_pitch_mm
         for trial in trials:
             nodes = nodes_of_slip(trial)
-            row = {"object": trial.plan.called, "seed": seed, "nodes": nodes if math.isfinite(nodes) else None}
+            row = {"object": trial.plan.object_name, "seed": seed, "nodes": nodes if math.isfinite(nodes) else None}
             rows.append({**row, "pitch_mm": pitch_mm, "record_method": simulated.METHOD, "commit": made})
     return rows
 

@@ -42,7 +42,7 @@ def as_of_now(row: Row, first: Row) -> Row:
     source = row.get("from") or ""
     if not (row.get("values") and source.startswith("docs/results") and source == first.get("from")):
         return row
-    return {**row, "values": None, "not_told": f"not repeated since ({source})"}
+    return {**row, "values": None, "not_measured": f"not repeated since ({source})"}
 
 
 def row_of(fact: Fact, measured: Measured) -> Row:
@@ -59,7 +59,7 @@ def ours(fact: Fact, measured: Measured) -> str:
     """Return a cell with evetac's figures, comparison, number of trials and origin, or the reason for no figures."""
     row = row_of(fact, measured)
     if not row.get("values"):
-        return f"not measured: {why}" if (why := row.get("not_told")) else "not measured"
+        return f"not measured: {why}" if (why := row.get("not_measured")) else "not measured"
     how = [compared(fact, measured), f"n {row['n']}" if row.get("n") else None, row.get("from")]
     return f"{as_text(row['values'])} {fact.unit}".strip() + f" ({'; '.join(one for one in how if one)})"
 

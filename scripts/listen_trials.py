@@ -51,7 +51,7 @@ COLUMNS = {
     "kept": "{kept}",
     "lost at the end, most [ms]": "{lost_ms_most:.0f}",
     "`start` answered after, median [ms]": "{start_ms_median:.1f}",
-    "marks with `at_s` off, most [ms]": "{told_off_ms_most:.2f}",
+    "marks with `at_s` off, most [ms]": "{stamped_off_ms_most:.2f}",
     "marks without it off, median [ms]": "{arrived_off_ms_median:.2f}",
     "within 1 ms": "{arrived_within_1_ms} of {trials}",
     "most [ms]": "{arrived_off_ms_most:.1f}",
@@ -136,9 +136,9 @@ def trial(server: Server, name: str, kill: str, rng: np.random.Generator) -> Row
             time.sleep(rng.uniform(0.0, 0.1))
             arm = Recorder(folder)
     status = arm.ask("status")
-    row["goes_on"] = (status["state"], status["name"]) == ("recording", name)
+    row["continues"] = (status["state"], status["name"]) == ("recording", name)
     sent = {}
-    for text, at in (("arrived", False), ("told", True)):
+    for text, at in (("arrived", False), ("stamped", True)):
         sent[text] = time.monotonic()
         answer = arm.ask("mark", text=text, **({"at_s": sent[text]} if at else {}))
         row[f"{text}_answered_ms"] = 1e3 * (time.monotonic() - sent[text])
@@ -190,21 +190,22 @@ def is_kept(row: Row) -> bool:
     """Whether the file contains the whole trial."""
     ends_early_ms = LOST_MS if row["kill"] == "server" else 0.0
     whole = row["starts_late_ms"] <= 0.0 and row["ends_early_ms"] <= ends_early_ms
-    return bool(row["faults"] is None and whole and row["events_missing"] == 0 and row["goes_on"] and row["marks"] == 2)
+    whole = whole and row["events_missing"] == 0 and row["continues"]
+    return bool(row["faults"] is None and whole and row["marks"] == 2)
 
 
-def heard(address: tuple[str, int], said: bytes, wait_s: float = 10.0) -> bytes:
+def reply_to(address: tuple[str, int], request: bytes, wait_s: float = 10.0) -> bytes:
     """Return what arrives on a connection until it closes."""
     answer = b""
     with socket.create_connection(address) as line, contextlib.suppress(OSError):
         line.settimeout(wait_s)
-        line.sendall(said)
+        line.sendall(request)
         while part := line.recv(4096):
             answer += part
     return answer
 
 
-def strangers(folder: Path) -> list[Row]:
+def unauthorised(folder: Path) -> list[Row]:
     """Return whether clients without the token got nothing, and one with it got in after they had gone."""
     host, port, token = (folder / "evetac.listen").read_text().split()
     address = (host, int(port))
@@ -219,20 +220,20 @@ def strangers(folder: Path) -> list[Row]:
         "no line at all": b"",
     }
     rows = []
-    for name, said in tries.items():
-        answer = heard(address, said)
+    for name, request in tries.items():
+        answer = reply_to(address, request)
         nothing = not answer or (b'"refused' in answer and b'"state"' not in answer)
-        rows.append({"stranger": name, "got_nothing": nothing})
+        rows.append({"client": name, "refused": nothing})
     with contextlib.ExitStack() as held:
         for _ in range(100):
             held.enter_context(socket.create_connection(address))
         until_s = time.monotonic() + PATIENCE_S
-        known = False
-        while not known and time.monotonic() < until_s:
+        reached = False
+        while not reached and time.monotonic() < until_s:
             with contextlib.suppress(OSError, RuntimeError):
-                known = Recorder(str(folder)).ask("status")["ok"]
+                reached = Recorder(str(folder)).ask("status")["ok"]
             time.sleep(0.1)
-    rows.append({"stranger": "100 silent connections", "got_nothing": known})
+    rows.append({"client": "100 silent connections", "refused": reached})
     return rows
 
 
@@ -243,7 +244,7 @@ def summary(rows: list[Row]) -> list[Row]:
         some = [row for row in rows if row.get("kill") == kill]
         if not some:
             continue
-        off = {text: [abs(row[f"{text}_off_ms"]) for row in some] for text in ("arrived", "told")}
+        off = {text: [abs(row[f"{text}_off_ms"]) for row in some] for text in ("arrived", "stamped")}
         starts = [row["start_ms"] for row in some if "start_ms" in row]
         shown.append(
             {
@@ -254,9 +255,9 @@ def summary(rows: list[Row]) -> list[Row]:
                 "arrived_off_ms_median": float(np.median(off["arrived"])),
                 "arrived_off_ms_most": max(off["arrived"]),
                 "arrived_within_1_ms": sum(bool(one <= 1.0) for one in off["arrived"]),
-                "told_off_ms_median": float(np.median(off["told"])),
-                "told_off_ms_most": max(off["told"]),
-                "told_within_1_ms": sum(bool(one <= 1.0) for one in off["told"]),
+                "stamped_off_ms_median": float(np.median(off["stamped"])),
+                "stamped_off_ms_most": max(off["stamped"]),
+                "stamped_within_1_ms": sum(bool(one <= 1.0) for one in off["stamped"]),
                 "start_ms_median": float(np.median(starts)) if starts else None,
                 "lost_ms_most": max(0.0, *(row["ends_early_ms"] for row in some)),
             }
@@ -287,7 +288,7 @@ def main() -> None:
                 rows.append(trial(server, f"trial-{number:03d}", str(kill), rng))
                 rows[-1]["kept"] = is_kept(rows[-1])
                 print(json.dumps(rows[-1]), file=out, flush=True)
-            for row in strangers(server.folder):
+            for row in unauthorised(server.folder):
                 rows.append(row)
                 print(json.dumps(row), file=out, flush=True)
         finally:
@@ -299,7 +300,7 @@ def main() -> None:
         trials_said = {"trials": chosen.trials, "kills": sum(map(bool, kills)), "servers": server.starts}
         write(RESULTS, table_of("listen-trials", TITLE, COLUMNS, summary(rows), command, trials_said, notes=NOTES))
     print_table("listen", summary(rows), {"servers": server.starts, "left_behind": len(left)}, simulated=True)
-    print_table("strangers", [row for row in rows if "stranger" in row], {}, simulated=True)
+    print_table("unauthorised", [row for row in rows if "client" in row], {}, simulated=True)
 
 
 if __name__ == "__main__":

@@ -43,7 +43,7 @@ BUSY = "while True: pass"
 class Client:
     """Requests pictures until the recording ends, and records when each arrived."""
 
-    came_s: list[float] = field(default_factory=list)
+    received_s: list[float] = field(default_factory=list)
     left_out: int = 0
     ended: str = ""
 
@@ -56,19 +56,19 @@ class Client:
             self.ended = news.get("ended", "")
             known = news.get("version", "")
             if not self.ended and news["sample"]["slices"]:
-                self.came_s.append(time.monotonic())
+                self.received_s.append(time.monotonic())
                 self.left_out = news["left_out"]
 
     def figures(self) -> dict[str, Any]:
-        came = np.array(self.came_s)
+        came = np.array(self.received_s)
         came = came[came > came[0] + SETTLE_S] if len(came) else came
         if len(came) < 2:
-            return {"pictures": len(self.came_s), "pictures_per_s": 0.0, "longest_ms": None}
+            return {"pictures": len(self.received_s), "pictures_per_s": 0.0, "longest_ms": None}
         gaps_s = np.diff(came)
         rate = float((len(came) - 1) / (came[-1] - came[0]))
         longest_ms = float(1e3 * gaps_s.max())
         return {
-            "pictures": len(self.came_s),
+            "pictures": len(self.received_s),
             "pictures_per_s": rate,
             "longest_ms": longest_ms,
             "left_out": self.left_out,

@@ -50,7 +50,7 @@ def trial_of(planned: Planned, seed: int, output: Path) -> SimulatedTrial:
     return SimulatedGrasp(*named, settings, settings.timing(planned.plan.scene.time.touch_s))
 
 
-class Asked(NamedTuple):
+class Slot(NamedTuple):
     """One recording; place is its number within the motion."""
 
     role: str
@@ -60,22 +60,22 @@ class Asked(NamedTuple):
     folder: Path
 
 
-def every_one(role: str, names: list[str], per_object: int, out: Path) -> Iterator[Asked]:
+def every_one(role: str, names: list[str], per_object: int, out: Path) -> Iterator[Slot]:
     """Return the recordings of a role, for these motions or, if none is given, all; per_object limits their number."""
     for motion, count in COUNTS[role].items():
         several = min(count, per_object) * len(OBJECTS[role])
         if not names or motion in names:
-            yield from (Asked(role, motion, place, several, out / motion.replace(" ", "-")) for place in range(several))
+            yield from (Slot(role, motion, place, several, out / motion.replace(" ", "-")) for place in range(several))
 
 
-def make(asked: Asked) -> str:
+def make(slot: Slot) -> str:
     """Make a recording; return the reason if it is left out, otherwise ""."""
-    objects, first = OBJECTS[asked.role], FIRST_SEEDS[asked.role]
-    sensors = first + SENSORS_APART * motions.MOTIONS.index(asked.motion)
-    number, planned = planned_at(asked.motion, objects, first, asked.place, sensors, several=asked.several)
-    seed = first + asked.place
-    asked.folder.mkdir(parents=True, exist_ok=True)
-    output = asked.folder / f"{asked.folder.name}-obj{number:02d}-s{seed}.recording.h5"
+    objects, first = OBJECTS[slot.role], FIRST_SEEDS[slot.role]
+    sensors = first + SENSORS_APART * motions.MOTIONS.index(slot.motion)
+    number, planned = planned_at(slot.motion, objects, first, slot.place, sensors, several=slot.several)
+    seed = first + slot.place
+    slot.folder.mkdir(parents=True, exist_ok=True)
+    output = slot.folder / f"{slot.folder.name}-obj{number:02d}-s{seed}.recording.h5"
     trial = trial_of(planned, seed, output)
     try:
         if isinstance(trial, SimulatedGrasp):
@@ -102,13 +102,13 @@ def main(arguments: list[str] | None = None) -> None:
     if unknown := set(names) - set(COUNTS[chosen.role]):
         known = ", ".join(COUNTS[chosen.role])
         parser.error(f"--motions: expected some of {known}, found {', '.join(sorted(unknown))}")
-    asked = list(every_one(chosen.role, names, chosen.per_object, chosen.out))
+    slots = list(every_one(chosen.role, names, chosen.per_object, chosen.out))
     if chosen.jobs == 1:
-        sys.stdout.writelines(map(make, asked))
+        sys.stdout.writelines(map(make, slots))
     else:
         with multiprocessing.get_context("spawn").Pool(chosen.jobs) as pool:
-            sys.stdout.writelines(pool.imap_unordered(make, asked))
-    sys.stdout.write(f"{chosen.out}: {len(asked)} recordings\n")
+            sys.stdout.writelines(pool.imap_unordered(make, slots))
+    sys.stdout.write(f"{chosen.out}: {len(slots)} recordings\n")
 
 
 if __name__ == "__main__":

@@ -89,7 +89,7 @@ def planned(
     seed: int,
     sensor: str = EVETAC,
     reshaped: bool = False,
-    touched: TouchedObject | None = None,
+    object: TouchedObject | None = None,
 ) -> Planned:
     """Return the plan of a motion with an object of the paper's table, a reshaped one or another, by seed."""
     rng = np.random.default_rng([seed, number, MOTIONS.index(motion)])
@@ -99,16 +99,16 @@ def planned(
         name = "handling"
     scene = scene_file.load(name)
     plan = first_plan("lift" if lifts else "handling", str(number), sensor)
-    touched = touched or plan.touched
-    assert touched is not None
-    plan = replace(plan, touched=touched)
+    object = object or plan.object
+    assert object is not None
+    plan = replace(plan, object=object)
     if reshaped:
-        touched = another_object(touched, rng)
-        plan = replace(plan, touched=touched)
-    weight_n = touched.mass_g * 1e-3 * GRAVITY_M_S2
+        object = another_object(object, rng)
+        plan = replace(plan, object=object)
+    weight_n = object.mass_g * 1e-3 * GRAVITY_M_S2
     if motion == "opening":
         drive = gripper.make_drive(plan.sensor.gripper)
-        scene = _opening(scene, rng, 0.5 * weight_n / touched.static_friction, drive)
+        scene = _opening(scene, rng, 0.5 * weight_n / object.static_friction, drive)
     elif motion in CHANGES:
         scene = CHANGES[motion](scene, rng, weight_n)
     if sensor != EVETAC:
@@ -118,7 +118,7 @@ def planned(
         return Planned(plan)
     if motion == "light touch":
         return Planned(plan, 1 + int(rng.integers(LIGHT_TICKS)), 4.0, 1.0)
-    holds_n = 0.5 * weight_n / touched.static_friction
+    holds_n = 0.5 * weight_n / object.static_friction
     if motion == "weak lifts":
         return Planned(plan, max(int(float(rng.uniform(*WEAK_FACTORS)) * holds_n / N_PER_TICK), 1), 2.0, 1.0)
     beyond_ticks = 1 + math.ceil(float(rng.uniform(*GRASP_FACTORS)) * holds_n / N_PER_TICK)
@@ -126,14 +126,14 @@ def planned(
     return Planned(plan, beyond_ticks, lift_s, balance_s)
 
 
-def another_object(touched: TouchedObject, rng: np.random.Generator) -> TouchedObject:
+def another_object(object: TouchedObject, rng: np.random.Generator) -> TouchedObject:
     """Return an object of another shape, width, weight and friction, for more variety than the table has."""
     width_mm = float(np.exp(rng.uniform(np.log(10.0), np.log(100.0))))
-    mass_g = float(np.clip(touched.mass_g * np.exp(rng.uniform(np.log(0.5), np.log(2.0))), 30.0, 500.0))
+    mass_g = float(np.clip(object.mass_g * np.exp(rng.uniform(np.log(0.5), np.log(2.0))), 30.0, 500.0))
     shape = str(rng.choice(["flat", "cylinder", "cylinder", "sphere"]))
     friction = float(rng.uniform(0.5, 1.0))
     return replace(
-        touched, shape=shape, width_mm=width_mm, grasped_width_mm=None, mass_g=mass_g, static_friction=friction
+        object, shape=shape, width_mm=width_mm, grasped_width_mm=None, mass_g=mass_g, static_friction=friction
     )
 
 

@@ -75,7 +75,7 @@ class Part:
     """A part's additions to a scene's tables and a sensor's row, and the part that it is compared with."""
 
     name: str
-    says: str  # its size, in words
+    size: str  # its size, in words
     scene: Row = field(default_factory=dict)
     sensor: Row = field(default_factory=dict)
     against: str = NONE
@@ -197,8 +197,8 @@ def lift(part: Part, object_: int, seed: int, folder: Path) -> Row:
 
 
 def identity(row: Row) -> tuple[Any, ...]:
-    """Return the fields that identify a trial; `says` is one of them, so another size of a part is another trial."""
-    return tuple(row[name] for name in ("part", "says", "kind", "object", "seed"))
+    """Return the fields that identify a trial; `size` is one of them, so another size of a part is another trial."""
+    return tuple(row[name] for name in ("part", "size", "kind", "object", "seed"))
 
 
 def trials(sizes: Sizes) -> Iterator[Row]:
@@ -207,7 +207,7 @@ def trials(sizes: Sizes) -> Iterator[Row]:
         for number in range(count):
             for part in named(sizes["parts"]):
                 if part.slips or kind == "lift":
-                    what = {"part": part.name, "says": part.says, "kind": kind}
+                    what = {"part": part.name, "size": part.size, "kind": kind}
                     yield {**what, "object": objects[number % len(objects)], "seed": sizes["seed"] + number}
 
 
@@ -236,7 +236,7 @@ def source(name: str) -> str:
     return name.replace("_f1", "_counts")
 
 
-def knows(name: str, row: Row) -> bool:
+def has_figure(name: str, row: Row) -> bool:
     """Whether a trial has the values from which a figure is computed."""
     return row.get(source(name)) is not None
 
@@ -247,9 +247,9 @@ def figure(name: str, rows: list[Row]) -> float | None:
     Run times use the median because the first trial of a process also loads compiled code.
     """
     if name.endswith("_f1"):
-        counted = [row[source(name)] for row in rows if knows(name, row)]
+        counted = [row[source(name)] for row in rows if has_figure(name, row)]
         return metrics.Counts(*(sum(column) for column in zip(*counted, strict=True))).f1 if counted else None
-    values = [float(row[name]) for row in rows if knows(name, row)]
+    values = [float(row[name]) for row in rows if has_figure(name, row)]
     if not values:
         return None
     return float(np.median(values) if name.endswith("_us") else np.mean(values))
@@ -276,12 +276,12 @@ def tables(rows: list[Row]) -> tuple[list[Row], list[Row]]:
         if not (own := of_part(rows, part)):
             continue
         kinds = [row["kind"] for row in own]
-        shown: Row = {"part": part.name, "size": part.says, "slips": kinds.count("slip"), "grasps": kinds.count("lift")}
+        shown: Row = {"part": part.name, "size": part.size, "slips": kinds.count("slip"), "grasps": kinds.count("lift")}
         shown["refused"] = sum("refused" in row for row in own)
         for name in PART_FIGURES:
             shown[name] = figure(name, own)
-            theirs = {pair(row): row for row in of_part(rows, BY_NAME[part.against]) if knows(name, row)}
-            both = [(row, theirs[pair(row)]) for row in own if knows(name, row) and pair(row) in theirs]
+            theirs = {pair(row): row for row in of_part(rows, BY_NAME[part.against]) if has_figure(name, row)}
+            both = [(row, theirs[pair(row)]) for row in own if has_figure(name, row) and pair(row) in theirs]
             if part.name != NONE and len(both) >= LEAST_PAIRS:
                 what = {"part": part.name, "against": part.against, "figure": name, "trials": len(both)}
                 changes.append({**what, **change(name, both)})
@@ -291,7 +291,7 @@ def tables(rows: list[Row]) -> tuple[list[Row], list[Row]]:
 
 def of_part(rows: list[Row], part: Part) -> list[Row]:
     """Return the trials with a part at its present size."""
-    return [row for row in rows if (row["part"], row["says"]) == (part.name, part.says)]
+    return [row for row in rows if (row["part"], row["size"]) == (part.name, part.size)]
 
 
 def pair(row: Row) -> tuple[Any, ...]:

@@ -82,21 +82,21 @@ def watched(
         command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as run:
         watch = Watched(run, folder / "run.recording.part", half)
-        out, said = run.communicate()
-        return run.returncode, out, said, watch.shares()
+        out, message = run.communicate()
+        return run.returncode, out, message, watch.shares()
 
 
 def promise(checkout: Path, folder: Path, half: HalfSpeed | None) -> Row:
     """Return the problems found by a checkout's doctor --speed, and its estimated events per second, if it has one."""
-    code, out, said, _ = watched(checkout, ["doctor", "--speed", "--json"], folder, half)
+    code, out, message, _ = watched(checkout, ["doctor", "--speed", "--json"], folder, half)
     try:
         result = json.loads(out)
     except ValueError:
-        return {"promised": f"exit code {code}: {said.strip()[-300:]}"}
+        return {"doctor": f"exit code {code}: {message.strip()[-300:]}"}
     wrong = [f"{row['device']} {row['check']}" for row in result["rows"] if row["ok"] is False]
-    row: Row = {"promised": f"wrong: {', '.join(wrong)}" if wrong else "fine in every line"}
+    row: Row = {"doctor": f"wrong: {', '.join(wrong)}" if wrong else "fine in every line"}
     if "judged_events_per_s" in result["summary"]:
-        row["promised_events_per_s"] = result["summary"]["judged_events_per_s"]
+        row["doctor_events_per_s"] = result["summary"]["judged_events_per_s"]
     return row
 
 
@@ -114,8 +114,9 @@ def one(checkout: Path, plan: Row, folder: Path, half: HalfSpeed | None) -> Row:
         *("-q", "--force", "-o", str(out)),
     ]
     row: Row = {**jitter(), "load_before": os.getloadavg()[0]}
-    code, _, said, shares = watched(checkout, words, folder, half)
-    row |= {"load_after": os.getloadavg()[0], "exit_code": code, "said": said.strip()[-600:], "cpu_shares": shares}
+    code, _, message, shares = watched(checkout, words, folder, half)
+    row |= {"load_after": os.getloadavg()[0], "exit_code": code, "message": message.strip()[-600:]}
+    row["cpu_shares"] = shares
     if not out.exists():
         return {**row, "lasted": False, "ended": "no recording was made"}
     with StageFile(out, "recording") as file:
@@ -143,7 +144,7 @@ def figures(file: StageFile, slip_threshold: float) -> Row:
     if file.has("capture/command_misses_by_gripper"):
         row["missed_by_gripper"] = int(file.read("capture/command_misses_by_gripper"))
         row["missed_by_us"] = row["missed"] - row["missed_by_gripper"]
-        row["answered_early"] = int((file.read("control/early_goal_ticks") >= 0).sum())
+        row["early_commands"] = int((file.read("control/early_goal_ticks") >= 0).sum())
     return row
 
 
@@ -178,7 +179,7 @@ def summary(rows: list[Row]) -> list[Row]:
         shown = dict(zip(("condition", "events_per_s", "checkout"), case, strict=True))
         shown["lasted"] = f"{sum(row['lasted'] for row in ours)} of {len(ours)}"
         shown |= {name: float(np.median(values)) for name, values in known.items() if values}
-        shown["promised"] = ours[-1].get("promised_events_per_s", ours[-1].get("promised"))
+        shown["doctor"] = ours[-1].get("doctor_events_per_s", ours[-1].get("doctor"))
         table.append(shown)
     return table
 
@@ -201,7 +202,7 @@ def main() -> None:
         raise SystemExit("--against: expected a checkout in a folder with another name")
     lines = chosen.out.read_text().splitlines() if chosen.out is not None and chosen.out.exists() else []
     known = [json.loads(line) for line in lines]
-    promised: dict[tuple[str, str], Row] = {}
+    doctor: dict[tuple[str, str], Row] = {}
     rows = []
     for plan in plans(chosen, checkouts):
         row = known_row(plan, known)
@@ -211,15 +212,15 @@ def main() -> None:
                 if plan["what"] == "doctor":
                     row = {**plan, **promise(checkout, Path(folder), half)}
                 else:
-                    said = promised.get((plan["checkout"], plan["condition"]), {})
-                    row = {**plan, **one(checkout, plan, Path(folder), half), **said}
+                    message = doctor.get((plan["checkout"], plan["condition"]), {})
+                    row = {**plan, **one(checkout, plan, Path(folder), half), **message}
             print(json.dumps(row), file=sys.stderr, flush=True)
             if chosen.out is not None:
                 with chosen.out.open("a") as file:
                     file.write(json.dumps(row) + "\n")
         if plan["what"] == "doctor":
-            said = {name: value for name, value in row.items() if name.startswith("promised")}
-            promised[plan["checkout"], plan["condition"]] = said
+            message = {name: value for name, value in row.items() if name.startswith("doctor")}
+            doctor[plan["checkout"], plan["condition"]] = message
         else:
             rows.append(row)
     print_table(f"grasp in real time, {chosen.seconds:g} s, medians of the runs", summary(rows), {}, simulated=True)

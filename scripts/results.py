@@ -228,7 +228,8 @@ def measured_text(stored: Row) -> str:
     heads = list(dict.fromkeys(key for row in stored["rows"] for key in row))
     rows = [[as_figure(row.get(key)).replace("_", " ") for key in heads] for row in stored["rows"]]
     table = as_table([head.replace("_", " ") for head in heads], rows)
-    return (folded(stored["said"], [table]) if len(rows) > MOST_ROWS else f"{stored['said']}:\n\n{table}") + "\n"
+    heading = stored["conditions"]
+    return (folded(heading, [table]) if len(rows) > MOST_ROWS else f"{heading}:\n\n{table}") + "\n"
 
 
 def main() -> None:

@@ -83,7 +83,7 @@ class Seen:
         """Return the probabilities of each model by name, with its horizon in ms."""
         dot_px, events = self.dot_px, np.array(self._events)
         moved, moved_xy = features.displacement(dot_px, self.rest_px), features.displacement_xy(dot_px, self.rest_px)
-        told, sensitivity = self.extras(), sensitivity_of(self.sensor)
+        estimated, sensitivity = self.extras(), sensitivity_of(self.sensor)
         alike: dict[Architecture, list[str]] = {}  # models with the same inputs
         for name, model in models.items():
             alike.setdefault(model.architecture, []).append(name)
@@ -93,7 +93,7 @@ class Seen:
                 raise TypeError(f"{names[0]}: expected a network over dots, found {architecture.name}")
             series = features.series(moved, events, moved_xy, architecture.factors(sensitivity))
             detectors = [models[name].detector() for name in names]
-            found = over_each(detectors, DotsAndExtras(series, told))
+            found = over_each(detectors, DotsAndExtras(series, estimated))
             said |= {name: (one, models[name].horizon_ms) for name, one in zip(names, found, strict=True)}
         return {name: said[name] for name in models}
 

@@ -26,7 +26,7 @@ def key_of(score: str) -> str:
     return re.sub(r"\W+", "_", score)
 
 
-def told(score: str, right: NDArray[np.float64], clusters: Sequence[object], f1: float) -> Row:
+def score_columns(score: str, right: NDArray[np.float64], clusters: Sequence[object], f1: float) -> Row:
     """Return a score's share of correct timing with its confidence interval, and F1, as values of a row.
 
     right: 1 for each slip with correct timing, else 0, (slips,); clusters: the cluster of each slip, (slips,).
@@ -53,20 +53,20 @@ def sensor_rows(rows: dict[str, list[Row]], at: dict[str, dict[str, float]], bef
     groups = [(sensor, [sensor]) for sensor in rows]
     randomised = [sensor for sensor in rows if sensor.startswith(RANDOMISED)]
     adapted = [sensor for sensor in rows if before and ADAPTED in at[sensor]]
-    for called, several in (("randomised", randomised), (ADAPTED, adapted)):
-        groups += [(f"{len(several)} {called} together", several)] * (len(several) > 1)
+    for name, several in (("randomised", randomised), (ADAPTED, adapted)):
+        groups += [(f"{len(several)} {name} together", several)] * (len(several) > 1)
     shown = []
-    for called, several in groups:
+    for name, several in groups:
         clusters = [row["seed" if len(several) == 1 else "sensor"] for one in several for row in slips[one]]
-        row: Row = {"sensor": called, "slips": len(clusters)}
+        row: Row = {"sensor": name, "slips": len(clusters)}
         for score in at[several[0]]:
             if all(score in at[one] for one in several):
-                row |= told(score, right(score, several), clusters, f1(score, several))
+                row |= score_columns(score, right(score, several), clusters, f1(score, several))
         shown.append(row)
     if before and len(adapted) > 1:  # `clusters` is still that of the adapted sensors, the last group
         gain, more = right(ADAPTED, adapted) - right(before, adapted), f1(ADAPTED, adapted) - f1(before, adapted)
         less: Row = {"sensor": f"adapted less {before}, paired", "slips": len(gain)}
-        shown.append(less | told(ADAPTED, gain, clusters, more))
+        shown.append(less | score_columns(ADAPTED, gain, clusters, more))
     return shown
 
 
@@ -87,7 +87,7 @@ def table(shown: list[Row], scores: Sequence[str], sensors: int, command: str, s
         f" those of the model files. Worst by timing: {', '.join(worst)}."
     ]
     if ADAPTED in scores:
-        columns |= {"onsets told to adapt by": "{told}", "adapted in [s]": "{took_s:.0f}"}
+        columns |= {"onsets told to adapt by": "{labelled}", "adapted in [s]": "{took_s:.0f}"}
         notes.append(
             "Adapted: with `evetac train --adapt` on one minute of contact in other slips of the same sensor, labelled"
             " from events; only if at least 8 onsets have a label. Time: of one processor core, from `label` to"

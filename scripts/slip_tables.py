@@ -149,8 +149,8 @@ def timing_table(name: str, rows: Rows, chosen: Row, command: str) -> Row:
     shown = []
     for score in names_of(rows):
         at = THRESHOLDS.index(chosen[score]["timing"])
-        told = timings(of_slips, score, at)
-        right = told == "correct"
+        outcome = timings(of_slips, score, at)
+        right = outcome == "correct"
         first = [row["scores"][score]["first_ms"][at] for row in of_slips]
         correct = mean_of(right.astype(float), clusters_of(of_slips))
         shown.append(
@@ -161,8 +161,8 @@ def timing_table(name: str, rows: Rows, chosen: Row, command: str) -> Row:
                 "correct": correct.value,
                 "correct_low": correct.low,
                 "correct_high": correct.high,
-                "early": float((told == "early").mean()),
-                "late": float((told == "late").mean()),
+                "early": float((outcome == "early").mean()),
+                "late": float((outcome == "late").mean()),
                 "f1": f1(of_slips, score, at),
                 "first_ms_median": float(np.median([ms for ms in first if ms is not None] or [math.nan])),
                 "correct_slow": _share(right[speed < slow]),
@@ -195,8 +195,8 @@ def calibration_error(rows: Rows, score: str) -> float | None:
     every = [row["scores"][score]["calibration"] for of_motion in rows.values() for row in of_motion]
     return expected_error(
         [
-            ReliabilityBin(tenth / 10, (tenth + 1) / 10, int(slices), said / slices, happened / slices)
-            for tenth, (slices, said, happened) in enumerate(np.sum(every, axis=0).T.tolist())
+            ReliabilityBin(tenth / 10, (tenth + 1) / 10, int(slices), predicted / slices, observed / slices)
+            for tenth, (slices, predicted, observed) in enumerate(np.sum(every, axis=0).T.tolist())
             if slices
         ]
     )

@@ -108,11 +108,11 @@ def _calibration(trial: Trial, score: Singles, horizon_ms: int, slips: Any) -> l
     """
     begins = slip_warnings.slip_begins(slips)
     stop = min((begins[0] + F1_CUT_MS) if begins else len(score), len(score) - horizon_ms)
-    said = np.nan_to_num(score[: max(stop, 0)])
-    counted = (trial.normal_n[: len(said)] > 0.0) & (said >= ABOVE)
-    tenth = np.minimum((10 * said).astype(int), 9)[counted]
-    happened = trial.slips[horizon_ms : horizon_ms + len(said)][counted].astype(np.float64)
-    columns = [np.bincount(tenth, of, 10) for of in (np.ones(len(tenth)), said[counted], happened)]
+    predicted = np.nan_to_num(score[: max(stop, 0)])
+    counted = (trial.normal_n[: len(predicted)] > 0.0) & (predicted >= ABOVE)
+    tenth = np.minimum((10 * predicted).astype(int), 9)[counted]
+    observed = trial.slips[horizon_ms : horizon_ms + len(predicted)][counted].astype(np.float64)
+    columns = [np.bincount(tenth, of, 10) for of in (np.ones(len(tenth)), predicted[counted], observed)]
     return [[round(float(value), 2) for value in column] for column in columns]
 
 

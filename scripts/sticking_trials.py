@@ -85,13 +85,13 @@ def touched(dot_mm: Floats, rest_mm: Floats) -> Flags:
 class Looks(NamedTuple):
     """Inputs and outputs of a network at each look of a trial during touch.
 
-    slices: of the looks; inputs: (looks, INPUTS); `told`: the slipping share and its standard deviation; begun:
+    slices: of the looks; inputs: (looks, INPUTS); `estimated`: the slipping share and its standard deviation; begun:
     probability that slip has begun; fields_mm: displacements of dots at the reference and now (looks, 2, dots, 2).
     """
 
     slices: NDArray[np.int64]
     inputs: Singles
-    told: Singles
+    estimated: Singles
     begun: Singles
     sd: Singles
     direction_rad: Singles
@@ -114,8 +114,8 @@ def looks_at(trial: Trial, dot_px: Floats, lost: Flags, network: StickingNetwork
         reading = sticking.step(state, at_mm, lost, bool(touches[number]))
         if touches[number] and state.rest.slices % rest.BLOCK_MS == 0:
             fields = np.stack([state.reference_mm - rest_mm, state.rest.block_mm - rest_mm])
-            told = 1.0 - reading.sticking_share
-            kept.append((number, state.inputs.copy(), told, state.has_begun, *reading[1:3], reading.alarm, fields))
+            estimated = 1.0 - reading.sticking_share
+            kept.append((number, state.inputs.copy(), estimated, state.has_begun, *reading[1:3], reading.alarm, fields))
     columns = list(zip(*kept, strict=True)) or [()] * len(Looks._fields)
     shapes = ((-1,), (-1, sticking.INPUTS), (-1,), (-1,), (-1,), (-1,), (-1,), (-1, 2, *rest_mm.shape))
     kinds = (np.int64, *[np.float32] * 5, np.bool_, np.float32)

@@ -176,7 +176,7 @@ BLIND_IDENTIFICATION = measured(
     "blind-identification",
     "Parameters of sensors randomized-narrow:{first} to {last} in blind identification",
     ("parameter", "{parameter}"),
-    ("estimated", "{told} of {sensors}"),
+    ("estimated", "{estimated} of {sensors}"),
     ("95 % interval contained the true value", "{held}"),
     ("width over the range of `randomized-narrow`, mean", "{width_mean:.2f}"),
     ("worst", "{width_worst:.2f}"),

@@ -184,7 +184,7 @@ CHECKS: dict[str, Check] = {
     "grasps": Check(("setting", "detector"), GRASPS, grasp_trials),
     "grasp-robustness": Check(("setting", "detector"), GRASPS, grasp_trials),
     "grasps-by-object": Check(("setting", "detector", "object"), (Figure("success", count="trials"),)),
-    "blind-identification": Check(("parameter",), (Figure("told", "sensors"), Figure("held", "told"))),
+    "blind-identification": Check(("parameter",), (Figure("estimated", "sensors"), Figure("held", "estimated"))),
 }  # fmt: skip
 
 

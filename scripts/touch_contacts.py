@@ -118,46 +118,46 @@ def read(state: TouchState, contact: KnownContact, setting: Setting, mm_per_px: 
     return touch_map.step(state, moved, lost)
 
 
-def judged(contact: KnownContact, told: TouchReading, state: TouchState) -> Row:
+def judged(contact: KnownContact, reading: TouchReading, state: TouchState) -> Row:
     """Return a reading's errors, and lists of errors over deviations: of x and y, and of the estimated cells."""
     truth = on_coarse_cells(contact, state.cells.x_mm, state.cells.y_mm)
     shear, pressure, since = truth[:2], truth[2], truth[:2] - truth[3:]
     touched = pressure > TOUCHED * pressure.max()
     area_mm2 = float(touched.sum() * CELL_MM**2)
     net, normal = contact.net_shear_n, contact.normal_n
-    torsion = contact.torsion_n_mm(told.centre_mm)
+    torsion = contact.torsion_n_mm(reading.centre_mm)
     since_n = contact.net_since_pressed_n
-    cells = told.patch
+    cells = reading.patch
 
     def over(error: Floats, sd: Floats) -> list[float]:
         return [float(one) for one in np.ravel(np.abs(error) / np.maximum(sd, 1e-12))]
 
     z = {
-        "force": over(told.shear_n - net, told.shear_sd_n),
-        "torsion": over(np.array(told.torsion_n_mm - torsion), np.array(told.torsion_sd_n_mm)),
-        "normal": over(np.array(told.normal_n - normal), np.array(told.normal_sd_n)),
-        "centre": over(told.centre_mm - contact.centre_mm, told.centre_sd_mm),
-        "area": over(np.array(told.area_mm2 - area_mm2), np.array(told.area_sd_mm2)),
-        "shear": over((told.shear_pa - shear)[:, cells], told.shear_sd_pa[:, cells]),
-        "pressure": over((told.pressure_pa - pressure)[cells], told.pressure_sd_pa[cells]),
-        "since": over(told.shear_since_n - since_n, told.shear_since_sd_n),
-        "shear_since": over((told.shear_since_pa - since)[:, cells], told.shear_since_sd_pa[:, cells]),
+        "force": over(reading.shear_n - net, reading.shear_sd_n),
+        "torsion": over(np.array(reading.torsion_n_mm - torsion), np.array(reading.torsion_sd_n_mm)),
+        "normal": over(np.array(reading.normal_n - normal), np.array(reading.normal_sd_n)),
+        "centre": over(reading.centre_mm - contact.centre_mm, reading.centre_sd_mm),
+        "area": over(np.array(reading.area_mm2 - area_mm2), np.array(reading.area_sd_mm2)),
+        "shear": over((reading.shear_pa - shear)[:, cells], reading.shear_sd_pa[:, cells]),
+        "pressure": over((reading.pressure_pa - pressure)[cells], reading.pressure_sd_pa[cells]),
+        "since": over(reading.shear_since_n - since_n, reading.shear_since_sd_n),
+        "shear_since": over((reading.shear_since_pa - since)[:, cells], reading.shear_since_sd_pa[:, cells]),
     }
     return {
         "shape": contact.shape,
         "seed": contact.seed,
-        "field": _share(told.shear_pa - shear, shear),
-        "field_since": _share(told.shear_since_pa - since, since),
-        "pressure": _share(told.pressure_pa - pressure, pressure),
-        "net": _share(told.shear_n - net, net),
-        "net_since": _share(told.shear_since_n - since_n, since_n),
-        "force_mae_n": float(np.abs(told.shear_n - net).mean()),
-        "torsion_n_mm": abs(told.torsion_n_mm - torsion),
-        "place_mm": float(np.hypot(*(told.centre_mm - contact.centre_mm))),
-        "area": told.area_mm2 / area_mm2,
+        "field": _share(reading.shear_pa - shear, shear),
+        "field_since": _share(reading.shear_since_pa - since, since),
+        "pressure": _share(reading.pressure_pa - pressure, pressure),
+        "net": _share(reading.shear_n - net, net),
+        "net_since": _share(reading.shear_since_n - since_n, since_n),
+        "force_mae_n": float(np.abs(reading.shear_n - net).mean()),
+        "torsion_n_mm": abs(reading.torsion_n_mm - torsion),
+        "place_mm": float(np.hypot(*(reading.centre_mm - contact.centre_mm))),
+        "area": reading.area_mm2 / area_mm2,
         "iou": float((touched & cells).sum() / (touched | cells).sum()),
-        "normal": told.normal_n / normal,
-        "normal_by_shape": told.normal_n / normal / NORMAL_BY_SHAPE[contact.shape],
+        "normal": reading.normal_n / normal,
+        "normal_by_shape": reading.normal_n / normal / NORMAL_BY_SHAPE[contact.shape],
         "z": z,
     }
 

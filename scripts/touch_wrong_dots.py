@@ -32,7 +32,7 @@ WRONG, OFF_PX = (1, 3, 6), (0.5, 1.0, 2.0, 5.0)
 TIMES = 2  # how often wrong dots are searched for
 
 
-def told(state: TouchState, moved_mm: Floats, known: LayerMotion | None) -> tuple[TouchReading, Flags]:
+def estimate(state: TouchState, moved_mm: Floats, known: LayerMotion | None) -> tuple[TouchReading, Flags]:
     """Return a touch map's estimate for dots (n, 2), and which dots it calls wrong; all are trusted without `known`."""
     flags: Flags = np.zeros(len(moved_mm), np.bool_)
     everyone = ~flags
@@ -61,7 +61,7 @@ def rows_of(contacts: list[KnownContact], rest_mm: Floats, mm_per_px: float) -> 
     known = wrong_dots.start(state.motion, state.cells.shape)
     rows = []
     for count, off_px in [(0, 0.0)] + [(count, off_px) for count in WRONG for off_px in OFF_PX]:
-        found, called, with_them, without = [], [], [], []
+        found, flagged, with_them, without = [], [], [], []
         for contact in contacts:
             rng = np.random.default_rng([contact.seed, SHAPES.index(contact.shape), 2])
             errors = rng.normal(size=rest_mm.shape) * OWN_PX + rng.normal(size=2) * COMMON_PX
@@ -69,11 +69,11 @@ def rows_of(contacts: list[KnownContact], rest_mm: Floats, mm_per_px: float) -> 
             errors[chosen] += off_px * np.stack([np.cos(ways), np.sin(ways)], axis=1)
             nearer = rest_mm * (contact.dot_motion_mm[:, 2:] / GelLayer().lens_mm)
             moved = contact.dot_motion_mm[:, :2] + nearer + errors * mm_per_px
-            reading, flags = told(state, moved, known)
+            reading, flags = estimate(state, moved, known)
             without.append(judged(contact, reading, state))
-            with_them.append(judged(contact, told(state, moved, None)[0], state))
+            with_them.append(judged(contact, estimate(state, moved, None)[0], state))
             found.append(flags[chosen].sum())
-            called.append(flags.sum() - flags[chosen].sum())
+            flagged.append(flags.sum() - flags[chosen].sum())
         right = len(contacts) * (len(rest_mm) - count)
         shear_n, field = np.median(with_them, axis=0)
         without_n, without_field = np.median(without, axis=0)
@@ -83,7 +83,7 @@ def rows_of(contacts: list[KnownContact], rest_mm: Floats, mm_per_px: float) -> 
                 "off_px": off_px if count else None,
                 "n": len(contacts),
                 "found": float(np.sum(found) / (count * len(contacts))) if count else None,
-                "false": float(np.sum(called) / right),
+                "false": float(np.sum(flagged) / right),
                 "shear_with_n": float(shear_n),
                 "shear_without_n": float(without_n),
                 "field_with": float(field),

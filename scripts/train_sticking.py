@@ -168,7 +168,7 @@ def as_one(networks: list[tuple[Singles, ...]]) -> tuple[Singles, ...]:
     return tuple(np.ascontiguousarray(array, np.float32) for array in joint)
 
 
-def told(weights: tuple[Singles, ...], inputs: Singles) -> Singles:
+def estimate(weights: tuple[Singles, ...], inputs: Singles) -> Singles:
     """Return the slipping share and the probability that slip has begun (n, 2), for many samples at once."""
     first, first_bias, second, second_bias, third, third_bias = weights
     wide = np.maximum(inputs @ first + first_bias, 0)
@@ -177,12 +177,12 @@ def told(weights: tuple[Singles, ...], inputs: Singles) -> Singles:
     return both
 
 
-def deviations(told_share: Singles, share: Singles) -> Floats:
+def deviations(estimated_share: Singles, share: Singles) -> Floats:
     """Return the rms error at each of SD_POINTS estimates of the sticking share, 0 to 1."""
-    sticks = 1 - told_share
+    sticks = 1 - estimated_share
     points = np.linspace(0, 1, SD_POINTS)
     weight = np.maximum(1 - np.abs(sticks[:, None] - points) * (SD_POINTS - 1), 0.0)
-    squares = weight.T @ (told_share - share) ** 2
+    squares = weight.T @ (estimated_share - share) ** 2
     rms: Floats = np.sqrt((squares + 0.05**2) / (weight.sum(axis=0) + 1))  # 0.05 for a point without samples
     return rms
 
@@ -200,9 +200,9 @@ def main() -> None:
     kept = learnt.of((learnt.share > SLIPS) | (rng.random(len(learnt.share)) < KEPT))
     weights = as_one([trained(kept, NETWORKS * chosen.seed + number) for number in range(NETWORKS)])
     held_back = joined([samples(some, rng) for some in choosing_trials(chosen.trials).values()])
-    said, true = told(weights, held_back.inputs)[:, 0], held_back.share
+    estimated, true = estimate(weights, held_back.inputs)[:, 0], held_back.share
     between = (true > trials.LOW) & (true < trials.HIGH)
-    network = StickingNetwork(*weights, deviations(said, true).astype(np.float32))
+    network = StickingNetwork(*weights, deviations(estimated, true).astype(np.float32))
     np.savez(chosen.out, **network._asdict())
     card: dict[str, Any] = {
         "what": "share of a contact that sticks, by evetac_cli/kernels/touch/sticking.py",
@@ -220,7 +220,7 @@ def main() -> None:
         "deviations": {
             "objects": list(motions.CHOSEN_BY),
             "trial_seeds": [CHOOSING_SEED, CHOOSING_SEED + CHOOSING_COUNT - 1],
-            "mean_error_between_0.05_and_0.95": float(np.abs(said - true)[between].mean()),
+            "mean_error_between_0.05_and_0.95": float(np.abs(estimated - true)[between].mean()),
         },
         "never_trained_on": {"objects": list(motions.JUDGED), "motions": list(trials.UNSEEN)},
         "simulated": True,

@@ -19,7 +19,7 @@ from evetac_cli.cli.exit_codes import CommandExit
 from evetac_cli.cli.flags import Running
 from evetac_cli.commands.parameter import Command
 from evetac_cli.errors import MADE_BY, EvetacError, InputError, made_by
-from evetac_cli.interrupts import interrupt_came
+from evetac_cli.interrupts import interrupt_received
 from evetac_cli.jobs import Job, Outcome, Stage, require_possible_name
 
 MOST_ROWS = 100  # printed of one table on a terminal
@@ -42,7 +42,7 @@ def execute(command: Command, title: str, flag_values: dict[str, Any]) -> None:
             quiet = running.quiet
             with (
                 console.progress_bar(f"{title} --dry-run", "runs", quiet=quiet) as progress,
-                compiling.announced(quiet=quiet, interrupted=interrupt_came),
+                compiling.announced(quiet=quiet, interrupted=interrupt_received),
             ):
                 shown = stage.dry_run(jobs, params, force=running.force, progress=progress)
             _show_plan(f"{title} --dry-run", stage, shown, running)
@@ -229,7 +229,7 @@ def run_jobs(
             name = f"{command.name}{which} {job.output.name}"
             with (
                 console.progress_bar(name, command.unit, quiet=quiet) as progress,
-                compiling.announced(quiet=quiet, interrupted=interrupt_came),
+                compiling.announced(quiet=quiet, interrupted=interrupt_received),
             ):
                 results[job.output] = workers.run_one(command.module, job, params, force, progress)
 

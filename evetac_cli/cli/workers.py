@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 from evetac_cli import console, plugins
 from evetac_cli.cli import compiling
 from evetac_cli.errors import EvetacError, attach_outcome, attached_outcome, exit_code_words
-from evetac_cli.interrupts import SignalsLetThrough, catch_interrupts, interrupt_came, signals_blocked
+from evetac_cli.interrupts import SignalsLetThrough, catch_interrupts, interrupt_received, signals_blocked
 from evetac_cli.jobs import Job, Outcome, Progress, silent
 
 if TYPE_CHECKING:  # `evetac --help` loads none of it
@@ -47,17 +47,17 @@ def run_one(module: str, job: Job, params: Any, force: bool, progress: Progress 
     """Run one job of a stage and return its outcome, or the EvetacError that it raised."""
     try:
         stage = importlib.import_module(f"evetac_cli.{module}")
-        if interrupt_came():  # swallowed while modules were loaded
+        if interrupt_received():  # swallowed while modules were loaded
             raise KeyboardInterrupt
         noticed = progress if job.exclusive else _noticing_interrupts(progress)  # devices shut down in their own order
         result: Outcome = stage.run(job, params, force=force, progress=noticed)
     except EvetacError as error:
         return error
     except Exception:
-        if interrupt_came():
+        if interrupt_received():
             raise KeyboardInterrupt from None
         raise
-    if interrupt_came():
+    if interrupt_received():
         raise attach_outcome(KeyboardInterrupt(), result)
     return result
 
@@ -66,7 +66,7 @@ def _noticing_interrupts(progress: Progress) -> Progress:
     """Return the same progress callback, but raising KeyboardInterrupt for an interrupt that was swallowed."""
 
     def report(done: float, total: float, doing: str = "") -> None:
-        if interrupt_came():
+        if interrupt_received():
             raise KeyboardInterrupt
         progress(done, total, doing)
 
@@ -77,7 +77,7 @@ def _in_worker(
     module: str, job: Job, params: Any, force: bool, progress: Progress = silent
 ) -> Outcome | EvetacError | None:
     """Run a job as run_one does, but end it quietly on Ctrl-C, which the parent reports; no job starts after that."""
-    if interrupt_came():
+    if interrupt_received():
         return None
     catch_interrupts(every=False)  # Ctrl-C comes from the terminal, and from the parent too
     try:
@@ -102,7 +102,7 @@ def _work(
     if not getattr(importlib.import_module(f"evetac_cli.{module}"), "COMPILES", True):  # and needs no numba for that
         _work_off(pipe, module, params, force)
         return
-    with compiling.announced(quiet=quiet, interrupted=interrupt_came, say=lambda text: _send_whole(pipe, text)):
+    with compiling.announced(quiet=quiet, interrupted=interrupt_received, say=lambda text: _send_whole(pipe, text)):
         _work_off(pipe, module, params, force)
 
 

@@ -145,7 +145,7 @@ class DeviceSlices:
         passed_us = min(self.recording_us(begun_us), self.most_us(begun_us))
         return max(0, int(passed_us - self._patience_us) // SLICE_US)
 
-    def heard(self, host_us: float) -> None:
+    def note_sent(self, host_us: float) -> None:
         """Record that the camera sent a time that was not believed: it is not silent."""
         self._over_at_time, self._time_sent_us = max(self._closed, self._due), host_us
 

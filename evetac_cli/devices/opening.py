@@ -41,13 +41,13 @@ def open_peers(
     opened: ExitStack,
     *,
     armed: bool,
-    tells_truth: bool,
+    sends_truth: bool,
     **durations: float,
 ) -> tuple["VirtualWorld | None", "VirtualGripper | None"]:
     """Start the virtual world and servo that the names require, None for real devices; they are closed with `opened`.
 
     plan: the setup that the world simulates, as in devices.simulated.rig; armed: whether a real gripper may be moved;
-    tells_truth: whether the world sends its ground truth. The world's time waits for a busy machine, unless a real
+    sends_truth: whether the world sends its ground truth. The world's time waits for a busy machine, unless a real
     gripper moves.
     """
     require_arm(gripper, armed=armed)
@@ -56,7 +56,7 @@ def open_peers(
         from evetac_cli.devices.virtual.world import VirtualWorld
 
         waits = not gripper.has(Capability.HARDWARE)
-        world = VirtualWorld(plan, seeds, tells_truth=tells_truth, waits=waits, **durations)
+        world = VirtualWorld(plan, seeds, sends_truth=sends_truth, waits=waits, **durations)
         opened.callback(world.close)
     servo = gripper.open_peer(world.plant if world is not None else None)
     if servo is not None:
@@ -86,7 +86,7 @@ def open_rig(
         assert plan is not None
         return rig(plan, seeds)
     with ExitStack() as opened:
-        world, servo = open_peers(camera, gripper, plan, seeds, opened, armed=armed, tells_truth=False)
+        world, servo = open_peers(camera, gripper, plan, seeds, opened, armed=armed, sends_truth=False)
         driver, gripper_setup = open_gripper(gripper, mode, gripper.port if servo is None else servo.port)
         if driver is not None:
             opened.callback(driver.close)

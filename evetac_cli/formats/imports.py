@@ -49,7 +49,7 @@ LARGE_LOSS = 0.02  # share of events dropped for one reason, above which a note 
 
 
 # What a user may specify about a file: the flag, and the files that it applies to.
-SAID = {
+OPTIONS = {
     "stream": ("--stream", "files that may contain several event streams: AEDAT4, HDF5, npz and bags"),
     "columns": ("--columns", "files of four unnamed columns: text, numpy and HDF5"),
     "time_unit": ("--time-unit", "files that do not state their unit of time: text, numpy and HDF5"),
@@ -57,7 +57,7 @@ SAID = {
 
 
 class ImportFormat(NamedTuple):
-    """The bytes that a file of the format begins with, their possible offsets, its reader, and the options (SAID).
+    """The bytes that a file of the format begins with, their possible offsets, its reader, and the options (OPTIONS).
 
     read: called with the path, the frame (width, height) or None, and the user's options; returns an EventSource. A
     plug-in provides a row of this type. It is tried if no built-in format matches and the file begins with the mark.
@@ -65,7 +65,7 @@ class ImportFormat(NamedTuple):
 
     begins: tuple[bytes, ...]
     read: Callable[..., EventSource]
-    said: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()
     at: tuple[int, ...] = (0,)
 
 
@@ -211,7 +211,7 @@ class EventFile:
             format=source.format,
             counts=source.dropped,
             sorted=source.sorted,
-            notes=[*notes, *stream_notes, *_unsaid(source, streams)],
+            notes=[*notes, *stream_notes, *_import_notes(source, streams)],
             streams=streams,
             left_out=source.left_out,
             simulated=note is not None and note.simulated,
@@ -267,7 +267,7 @@ def _kept(
     return streams, notes
 
 
-def _unsaid(source: EventSource, streams: list[Stream]) -> Iterator[str]:
+def _import_notes(source: EventSource, streams: list[Stream]) -> Iterator[str]:
     """Yield notes: what was kept in addition to the events, what was left out (with counts), what was assumed."""
     if streams:
         yield "kept: " + ", ".join(f"{len(stream.t_us):,} samples of {stream.name}" for stream in streams)
@@ -318,8 +318,8 @@ def _losses(source: EventSource, *, lacks_events: bool) -> Iterator[str]:
 def _open(path: Path, frame_px: tuple[int, int] | None, options: Mapping[str, str]) -> EventSource:
     """Recognize the format by the first bytes and call its reader with the user's options."""
     format_ = BAG if path.is_dir() and is_bag_folder(path) else _format(path)
-    for name in options.keys() - set(format_.said):  # an option that would do nothing is an error
-        flag, files = SAID[name]
+    for name in options.keys() - set(format_.options):  # an option that would do nothing is an error
+        flag, files = OPTIONS[name]
         raise InputError(f"{flag} is for {files}", where=str(path), found=options[name], hint="leave it out")
     source = format_.read(path, frame_px, **options)
     if not isinstance(source, EventSource):
@@ -405,13 +405,13 @@ def _format_of_plugin(head: bytes, unusable: list[str]) -> ImportFormat | None:
 def format_of_plugin(plugin: plugins.Plugin) -> ImportFormat:
     """Return the row of a plug-in; raise InputError if it cannot be used."""
     format_ = plugin.load(ImportFormat)
-    begins, options = format_.begins, format_.said
+    begins, options = format_.begins, format_.options
     if not isinstance(begins, tuple) or not all(isinstance(mark, bytes) and len(mark) >= LEAST_MARK for mark in begins):
         raise plugin.error(f"its `begins` must be a tuple of {LEAST_MARK} bytes or more each, but is {begins!r}")
     if not callable(format_.read):
         raise plugin.error(f"its `read` must be a function, but is {format_.read!r}")
-    if not isinstance(options, tuple) or not all(name in SAID for name in options):
-        raise plugin.error(f"its `said` must be a tuple of {', '.join(SAID)}, but is {options!r}")
+    if not isinstance(options, tuple) or not all(name in OPTIONS for name in options):
+        raise plugin.error(f"its `options` must be a tuple of {', '.join(OPTIONS)}, but is {options!r}")
     return format_
 
 

@@ -14,7 +14,7 @@ from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Outcome
 from evetac_cli.kernels.calibration.grid import in_words
-from evetac_cli.kernels.slip.covariates import SlipCovariates, not_told
+from evetac_cli.kernels.slip.covariates import SlipCovariates, unknown_covariates
 from evetac_cli.pages.shared import KNOWN, inner, stiffness
 from evetac_cli.stages.model_files import TRUE_SLIP_SHARE, labelled_by, learned_true_slip_share, read_curve
 from evetac_cli.stages.related_files import check_made_from
@@ -170,12 +170,12 @@ def _slip(recording: Recording) -> dict[str, Any]:
     source, slip = _slip_of(recording)
     if slip is None:
         return {}
-    missing = not_told([slip])
+    missing = unknown_covariates([slip])
     return {
         "slip_onset_ms": slip.onset_ms,
-        "slip_told_by": source,
+        "slip_source": source,
         **slip.figures(),
-        **({"slip_not_told": ", ".join(missing)} if missing else {}),
+        **({"slip_unknown": ", ".join(missing)} if missing else {}),
     }
 
 

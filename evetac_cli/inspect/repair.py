@@ -69,7 +69,7 @@ def _repair(folder: Path) -> tuple[dict[str, Any], bool]:
     with lock_folder(folder):
         if was_joined(folder):
             _check(output)
-            return _row(folder, "was complete", strange=remove_parts(folder)), False
+            return _row(folder, "was complete", unexpected=remove_parts(folder)), False
         left = read_leftover(folder)
         if not left.parts:
             raise InputError(
@@ -93,8 +93,8 @@ def _repair(folder: Path) -> tuple[dict[str, Any], bool]:
             output.unlink()
             raise
         remove_unfinished(output)  # left by a recorder that was killed while it joined segments
-        strange = remove_parts(folder)
-    return _row(folder, "repaired", left, strange=strange), left.recipe.simulated
+        unexpected = remove_parts(folder)
+    return _row(folder, "repaired", left, unexpected=unexpected), left.recipe.simulated
 
 
 def _check(output: Path) -> None:
@@ -109,11 +109,11 @@ def _check(output: Path) -> None:
 
 
 def _row(
-    folder: Path, status: str, left: Leftover | None = None, *, fault: str | None = None, strange: Sequence[str] = ()
+    folder: Path, status: str, left: Leftover | None = None, *, fault: str | None = None, unexpected: Sequence[str] = ()
 ) -> dict[str, Any]:
     """Return the row of one folder; the amount missing at the end of the recording is unknown.
 
-    strange: files that no recorder wrote, which were left in the folder.
+    unexpected: files that no recorder wrote, which were left in the folder.
     """
     return {
         "output": str(recording_path(folder)),
@@ -125,6 +125,6 @@ def _row(
         "segments_unreadable": None if left is None else len(left.unreadable),
         "segments_left_out": None if left is None else left.left_out,
         "unreadable": None if left is None else "; ".join(left.unreadable) or None,
-        "left_in_folder": ", ".join(strange) or None,
+        "left_in_folder": ", ".join(unexpected) or None,
         "fault": fault,
     }

@@ -282,7 +282,7 @@ def area(first: Floats, second: Floats) -> float:
     return float((ranks.sum() - len(second) * (len(second) + 1) / 2) / (len(first) * len(second)))
 
 
-def told_apart(first: Floats, second: Floats) -> float:
+def separability(first: Floats, second: Floats) -> float:
     """Return the AUC of held-out windows (windows, features) in order of time; a feature that is NaN gets its mean.
 
     The longer set is cut, so that both have windows at the same times. ValueError with fewer than FEWEST_WINDOWS, or if

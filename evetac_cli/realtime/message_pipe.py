@@ -112,14 +112,14 @@ class MessageReader:
     def take(self) -> Iterator[Any]:
         """Yield the complete messages, oldest first; those not consumed are there for the next call."""
         os.set_blocking(self._pipe.fileno(), False)
-        came = 0
-        while not self.ended and came < _MOST_READ_BYTES:
+        read = 0
+        while not self.ended and read < _MOST_READ_BYTES:
             try:
                 data = os.read(self._pipe.fileno(), _READ_BYTES)
             except BlockingIOError:
                 break
             self._data += data
-            came += len(data)
+            read += len(data)
             self.ended = not data
         while len(self._data) >= _LENGTH.size:
             end = _LENGTH.size + _LENGTH.unpack_from(self._data)[0]

@@ -38,7 +38,7 @@ class DetectorStatus(NamedTuple):
     signal: SlipSignal
     slices: int  # processed by the detector
     at_us: float  # time of publication
-    heard_us: float  # time of the camera's last event
+    last_event_us: float  # time of the camera's last event
     zero_us: float  # time at which the recording's time was 0
     slip_us: tuple[float, ...]  # first events of the latest slices with slip, oldest first; up to REMEMBERED
     second: "DetectorStatus | None" = None
@@ -110,10 +110,10 @@ class SharedStatus:
         if row is None:
             return None
         single = len(SlipSignal._fields) + 4
-        slips, *felt, slices, at_us, heard_us, zero_us = row[1][:single]
+        slips, *felt, slices, at_us, last_event_us, zero_us = row[1][:single]
         remembered_slips = min(int(slips), REMEMBERED)
         slip_us = row[1][single + REMEMBERED - remembered_slips :]
-        return DetectorStatus(SlipSignal(int(slips), *felt), int(slices), at_us, heard_us, zero_us, slip_us)
+        return DetectorStatus(SlipSignal(int(slips), *felt), int(slices), at_us, last_event_us, zero_us, slip_us)
 
     def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
         """For the controller: publish the measured position of the fingers and their goal."""

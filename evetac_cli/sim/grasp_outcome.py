@@ -61,28 +61,28 @@ def outcome(
     gap_mm, force_n = rows["truth/table_gap_mm"], rows["truth/normal_force_n"]
     object_mm = rows["truth/object_xy_px"] * mm_per_px
     step_ms, phase, ticks = rows["control/t_us"] // SLICE_US, rows["control/phase"], rows["gripper/position_ticks"]
-    touched, lifted = (int(np.flatnonzero(phase <= end)[-1]) for end in (GraspPhase.CONTACT, GraspPhase.LIFT))
+    contact, lifted = (int(np.flatnonzero(phase <= end)[-1]) for end in (GraspPhase.CONTACT, GraspPhase.LIFT))
     last_ms = len(gap_mm) - 1
-    touched_ms, lifted_ms = (min(int(step_ms[index]), last_ms) for index in (touched, lifted))
+    contact_ms, lifted_ms = (min(int(step_ms[index]), last_ms) for index in (contact, lifted))
 
     def hangs(at_ms: int) -> bool:
         return bool(gap_mm[at_ms] > LIFTED_MM and force_n[at_ms] > 0)
 
     def moved_mm(at_ms: int) -> float:
-        return float(np.hypot(*(object_mm[at_ms] - object_mm[touched_ms])))
+        return float(np.hypot(*(object_mm[at_ms] - object_mm[contact_ms])))
 
     is_held = hangs(lifted_ms)
     balanced = is_held and hangs(last_ms) and len(gap_mm) >= planned_ms
     slip = rows["control/slip"].astype(int)
-    began = np.flatnonzero(np.diff(slip, prepend=0)[touched + 1 :] > 0) + touched + 1
+    began = np.flatnonzero(np.diff(slip, prepend=0)[contact + 1 :] > 0) + contact + 1
     slips = rows["truth/visible_slip_share"] >= SLIPS_SHARE
     if second_slip_share is not None:
         both = min(len(slips), len(second_slip_share))
         slips = np.append(slips[:both] | (second_slip_share[:both] >= SLIPS_SHARE), slips[both:])
     reactions_ms = [int(each) for each in step_ms[began]]
     false = [at for at in reactions_ms if not slips[max(at - BEFORE_MS, 0) : at + AFTER_MS + 1].any()]
-    closed = int(ticks[lifted] - ticks[touched])
-    closed_end = int(ticks[-1] - ticks[touched])
+    closed = int(ticks[lifted] - ticks[contact])
+    closed_end = int(ticks[-1] - ticks[contact])
     return {
         "lifted": is_held,
         "balanced": balanced,
@@ -91,10 +91,10 @@ def outcome(
         "moved_mm": moved_mm(last_ms),
         "opening_after_lift_ticks": -closed,
         "opening_after_balance_ticks": -closed_end,
-        "opening_after_lift_mm": opening_mm(ticks[touched], ticks[lifted]),
-        "opening_after_balance_mm": opening_mm(ticks[touched], ticks[-1]),
+        "opening_after_lift_mm": opening_mm(ticks[contact], ticks[lifted]),
+        "opening_after_balance_mm": opening_mm(ticks[contact], ticks[-1]),
         "reopened_share": (closed - closed_end) / closed if closed > 0 else None,
-        "force_touch_n": float(force_n[touched_ms]),
+        "force_touch_n": float(force_n[contact_ms]),
         "force_lift_n": float(force_n[lifted_ms]),
         "force_end_n": float(force_n[last_ms]),
         **_over_holding(rows, balanced=balanced),

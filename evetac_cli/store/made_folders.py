@@ -50,7 +50,7 @@ def require_replaceable(folder: Path, *, force: bool) -> None:
     if not force:
         hint = "--force replaces it if only evetac wrote into it, -o NAME writes to another folder"
         raise InputError("the output exists", where=str(folder), hint=hint)
-    _refuse_strange(folder, folder)
+    _refuse_unexpected(folder, folder)
 
 
 @contextmanager
@@ -73,7 +73,7 @@ def new_folder(folder: Path, *, force: bool) -> Iterator[Path]:
                 require_replaceable(folder, force=False)
             if folder.is_dir():
                 folder.replace(before)  # after this no program can add to it by its name
-                _refuse_strange(before, folder)
+                _refuse_unexpected(before, folder)
             temporary.replace(folder)
     except BaseException as error:
         remove_with_contents(temporary)
@@ -88,7 +88,7 @@ def new_folder(folder: Path, *, force: bool) -> Iterator[Path]:
             before.replace(folder)
 
 
-def _refuse_strange(now: Path, folder: Path) -> None:
+def _refuse_unexpected(now: Path, folder: Path) -> None:
     """Raise InputError if the contents of `folder`, which are `now` there, are not those that evetac wrote.
 
     An index by evetac does not count, since `info` creates one.
@@ -97,10 +97,10 @@ def _refuse_strange(now: Path, folder: Path) -> None:
         listed = dict(parse_json(read_text(list_path(folder), MOST_LIST_BYTES))["files"])
     except (InputError, UnavailableError, ValueError, TypeError, KeyError):
         listed = {}
-    strange = [name for name, mark in _files(now).items() if listed.get(name) != mark and Path(name).name != index.NAME]
-    if strange:
+    foreign = [name for name, mark in _files(now).items() if listed.get(name) != mark and Path(name).name != index.NAME]
+    if foreign:
         message = "the folder has files that evetac did not make, or that were changed, so it is not replaced"
-        found, hint = ", ".join(strange[:MOST_NAMED]), "-o NAME writes to another folder; or move your own files away"
+        found, hint = ", ".join(foreign[:MOST_NAMED]), "-o NAME writes to another folder; or move your own files away"
         raise InputError(message, where=str(folder), found=found, hint=hint)
 
 

@@ -57,7 +57,7 @@ def notes(trials: Sequence[SimulatedTrial]) -> list[str]:
         return []
     pitches_mm = sorted({trial.plan.scene.solver.node_pitch_mm for trial in finer})
     span = " to ".join(f"{pitch_mm:.2f}" for pitch_mm in dict.fromkeys((pitches_mm[0], pitches_mm[-1])))
-    objects = list(dict.fromkeys(str(trial.plan.called) for trial in finer))
+    objects = list(dict.fromkeys(str(trial.plan.object_name) for trial in finer))
     which = f"object{'s' if len(objects) > 1 else ''} {', '.join(objects)}"
     which += f", {len(finer)} of {len(trials)} trials" if len(trials) > 1 else ""
     usual = f"default {finer[0].usual_pitch_mm:g}"

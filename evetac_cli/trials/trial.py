@@ -67,7 +67,7 @@ class Trial(Job):
         if self.plan is None:
             return np.random.SeedSequence([self.seed, self.number])
         tone_mhz = [] if self.plan.tone_hz is None else [round(1000 * self.plan.tone_hz)]
-        return np.random.SeedSequence([self.seed, seed_of(self.plan.called), self.number, *tone_mhz])
+        return np.random.SeedSequence([self.seed, seed_of(self.plan.object_name), self.number, *tone_mhz])
 
 
 @dataclass(frozen=True)
@@ -144,14 +144,14 @@ def simulated_trials(
     sensor, second = _sensors(params.sensor, fingers)
     plan_options = (params.scene, params.objects, sensor, kinds, params.gel, tones)
     for each in plans(*plan_options, solver=params.solver(), texture=params.texture, second=second):
-        called = each.called
-        what = "" if called is None else f"-{called}" if isinstance(called, str) else f"-obj{called:02d}"
+        name = each.object_name
+        what = "" if name is None else f"-{name}" if isinstance(name, str) else f"-obj{name:02d}"
         what += "" if each.tone_hz is None else f"-{each.tone_hz:g}hz"
         for number in range(params.count):
             stem, rest = f"{prefix}{each.scene.name}{what}", f"-s{params.seed}-{number:03d}.{OUTPUT}.h5"
             names = [f"{stem}{rest}"] if fingers == 1 else [f"{stem}-{place + 1}{rest}" for place in range(fingers)]
             outputs = [out if out is not None and out.suffix == ".h5" else (out or Path()) / name for name in names]
-            plan = each.of_trial((params.seed, seed_of(called), number))
+            plan = each.of_trial((params.seed, seed_of(name), number))
             second_output = None if fingers == 1 else outputs[1]
             trials.append(
                 SimulatedTrial((), outputs[0], number, params.seed, plan, view=view, second_output=second_output)

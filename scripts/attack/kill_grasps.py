@@ -295,7 +295,7 @@ def one(
         exit_code = run.poll()
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(run.pid, signal.SIGKILL)
-        said = run.communicate()[1]
+        stderr = run.communicate()[1]
     judged = [(begin, end) for begin, end in spans if begin < watched_until_s]
     first_off_s = min((end for _, end in judged), default=struck_s)
     had_current = any(begin <= struck_s for begin, _ in judged)
@@ -310,8 +310,8 @@ def one(
         "goal_after_ms": round(max(servo.last_goal_s() - struck_s, 0.0) * 1e3, 2),
         "gripped_again": again,
         "exit_code": exit_code,
-        "traceback": "Traceback" in said,
-        "words": [line for line in said.splitlines() if "torque" in line or "error" in line][-2:],
+        "traceback": "Traceback" in stderr,
+        "words": [line for line in stderr.splitlines() if "torque" in line or "error" in line][-2:],
     }
 
 

@@ -43,13 +43,13 @@ Row = dict[str, Any]
 def refused(tried: str, act: Callable[[], Any]) -> Row:
     """Try something that reaches its target unless it is refused."""
     try:
-        came = act()
+        result = act()
     except Exception as error:  # libraries raise many kinds
-        return {"tried": tried, "came_of_it": type(error).__name__, "reached": False}
-    return {"tried": tried, "came_of_it": repr(came)[:80], "reached": True}
+        return {"tried": tried, "outcome": type(error).__name__, "reached": False}
+    return {"tried": tried, "outcome": repr(result)[:80], "reached": True}
 
 
-def said_to(port: int, line: bytes) -> bytes:
+def reply_to(port: int, line: bytes) -> bytes:
     """Return what a port answers; PermissionError if that is nothing but a refusal."""
     with socket.create_connection(("127.0.0.1", port), ANSWER_S) as connection:
         connection.sendall(line)
@@ -77,7 +77,7 @@ def tries(paths: list[Path]) -> Iterator[Row]:
     lines += [f"{way} HTTP/1.0\r\nHost: 127.0.0.1\r\n\r\n".encode() for way in ("GET /", f"GET /{'A' * 32}/", "POST /")]
     for port in ports():
         for line in lines:
-            yield refused(f"port: {line[:10].decode()}", lambda port=port, line=line: said_to(port, line))
+            yield refused(f"port: {line[:10].decode()}", lambda port=port, line=line: reply_to(port, line))
     for place in processes():
         for address in re.findall(r"http://127[^\0\s]+", (place / "cmdline").read_text()):
             yield refused("process: an address among its arguments", lambda address=address: urlopen(address).read())
@@ -113,14 +113,14 @@ def attacked(program: str, base: Path, python: str) -> list[Row]:
         taken = [home, temporary, base / "door" / "evetac.listen", Path("/dev/shm"), Path("/dev/pts")]
         done = subprocess.check_output([python, "-P", __file__, "--take", *taken], **start, **OTHER)
         rows: list[Row] = json.loads(done)
-        rows.append({"tried": "end it", "came_of_it": str(run.poll()), "reached": run.poll() is not None})
+        rows.append({"tried": "end it", "outcome": str(run.poll()), "reached": run.poll() is not None})
         while places := processes():
             for place in places:
                 os.kill(int(place.name), signal.SIGKILL)
     for tried in dict.fromkeys(row["tried"] for row in rows):
         some = [row for row in rows if row["tried"] == tried]
         verdict = "REACHED" if any(row["reached"] for row in some) else "held"
-        print(f"{verdict:<8} {program:<8} {tried}, {len(some)} times: {sorted({row['came_of_it'] for row in some})}")
+        print(f"{verdict:<8} {program:<8} {tried}, {len(some)} times: {sorted({row['outcome'] for row in some})}")
     return rows
 
 
@@ -136,7 +136,7 @@ def main() -> int:
         return 0
     become = refused("", lambda: subprocess.run([chosen.python, "-c", ""], **OTHER, check=True))
     if not become["reached"]:
-        print(f"nothing was tried: no program runs as another user: {become['came_of_it']}", file=sys.stderr)
+        print(f"nothing was tried: no program runs as another user: {become['outcome']}", file=sys.stderr)
         return 2
     with tempfile.TemporaryDirectory(prefix="evetac-other-user-") as base:
         rows = [row for program in chosen.only for row in attacked(program, Path(base), chosen.python)]

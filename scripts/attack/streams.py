@@ -21,7 +21,7 @@ from stream_attacks import ATTACKS, Attack, Ending
 
 from evetac_cli.devices.virtual import dvxplorer
 
-COLUMNS = ("fault", "wall_s", "peak_mb", "slices", "host_ms", "lost_said", "lost_true", "ok", "wrong")
+COLUMNS = ("fault", "wall_s", "peak_mb", "slices", "host_ms", "lost_reported", "lost_true", "ok", "wrong")
 START_S = 60.0  # time for a recording beyond its seconds: to load, to compile and to join the file, in s
 
 
@@ -93,7 +93,7 @@ def attacked(attack: Attack, seconds: float, events_s: float, memory_mb: float) 
         "peak_mb": round(known["peak_mb"]),
         "slices": ending.slices,
         "host_ms": round(ending.host_ms),
-        "lost_said": ending.reported_lost,
+        "lost_reported": ending.reported_lost,
         "lost_true": ending.lost,
         "ok": not wrong,
         "wrong": "; ".join(wrong),

@@ -81,4 +81,4 @@ def value(item: Any) -> str:
 def comments(of: type) -> dict[str, str]:
     """Return the comments after a dataclass's fields, by field name."""
     pattern = re.compile(r"^    (\w+): [^#\n]+#\s*(.+)$", re.MULTILINE)
-    return {name: said.removeprefix("...").lstrip() for name, said in pattern.findall(inspect.getsource(of))}
+    return {name: text.removeprefix("...").lstrip() for name, text in pattern.findall(inspect.getsource(of))}

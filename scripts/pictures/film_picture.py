@@ -36,7 +36,7 @@ SCENE = (14, 178)  # left and right of the three panels
 LOUPE = (190, 452)
 CAMERA_LEFT = 466
 CHART_LEFT, CHART_RIGHT, CHART_TOP, CHART_TALL, CHART_STEP = 108, 640, 436, 48, 54
-SAID = {
+CAPTIONS = {
     "lift": "The hand lifts it.",
     "loosening": "The grip is loosened, to find out how little is enough.",
     "catch": "One picture a millisecond: it begins to slip.",
@@ -102,7 +102,7 @@ class Picture:
         pen = Pen(sheet)
         pen.line([(cursor / FINE, CHART_TOP - 4), (cursor / FINE, CHART_TOP + 2 * CHART_STEP + CHART_TALL)], TEXT, 1.5)
         act = next(act for act in reversed(story.acts) if act.start_ms <= at_ms)
-        pen.text(14, 33, self._said(act, at_ms), TEXT, 13)
+        pen.text(14, 33, self._caption(act, at_ms), TEXT, 13)
         pen.text(WIDE - 14, 8, _speed(act), ON if act.speed < 1 else TEXT, 17, "ra")
         pen.text(WIDE - 14, 33, f"{at_ms / 1000:.3f} s", TEXT, 13, "ra")
         self._scene(pen, at_ms)
@@ -114,7 +114,7 @@ class Picture:
         self._readings(pen, at_ms)
         return sheet.resize((WIDE, TALL), Image.Resampling.BOX)
 
-    def _said(self, act: Act, at_ms: int) -> str:
+    def _caption(self, act: Act, at_ms: int) -> str:
         """Return a sentence that describes this moment."""
         story = self.story
         if act.name == "held":
@@ -122,8 +122,8 @@ class Picture:
             before = story.force_n[story.acts[1].start_ms]
             return f"Held, {sunk_mm:.1f} mm lower, with {story.force_n[at_ms]:.1f} N instead of {before:.1f} N."
         if act.name == "catch" and at_ms >= story.noticed_ms:
-            return SAID["caught" if at_ms >= story.catch.stuck_ms else "noticed"]
-        return SAID[act.name]
+            return CAPTIONS["caught" if at_ms >= story.catch.stuck_ms else "noticed"]
+        return CAPTIONS[act.name]
 
     # The upper row ----------------------------------------------------------------------------------------------------
 

@@ -106,8 +106,8 @@ def read_story(trial: OpenTrial) -> Story:
         return values
 
     made = read_plan(recording.header["parameters"], str(recording.path))
-    touched, mm_per_px = made.touched, made.sensor.mm_per_px
-    assert touched is not None
+    object, mm_per_px = made.object, made.sensor.mm_per_px
+    assert object is not None
     if made.scene.gel.sideways or made.scene.drop is not None:
         raise InputError(
             "the film supports only grasps from the top, without a falling weight", where=str(recording.path)
@@ -129,12 +129,12 @@ def read_story(trial: OpenTrial) -> Story:
     heard_ms = recording.read("control/t_us")[recording.read("control/slip") > 0] // SLICE_US
     heard_ms = np.append(heard_ms[heard_ms >= plan[2].start_ms], catch.stuck_ms)
     return Story(
-        title=f"Catching object {made.called} by feel: {touched.material}, {touched.mass_g:g} g",
+        title=f"Catching object {made.object_name} by feel: {object.material}, {object.mass_g:g} g",
         catch=catch,
         acts=plan,
         object_mm=(
-            touched.held_mm,
-            touched.height_mm,
+            object.held_mm,
+            object.height_mm,
         ),
         mm_per_px=mm_per_px,
         window_px=recording.window_px,

@@ -60,7 +60,7 @@ def test_both_ways_to_a_gripper_ask(gripper: VirtualGripper) -> None:
     with pytest.raises(InputError, match="--arm"):
         open_rig(camera, named, CameraSettings(), None, np.random.SeedSequence(0))
     with pytest.raises(InputError, match="--arm"), ExitStack() as opened:
-        open_peers(camera, named, None, np.random.SeedSequence(0), opened, armed=False, tells_truth=False)
+        open_peers(camera, named, None, np.random.SeedSequence(0), opened, armed=False, sends_truth=False)
     assert gripper.instructions() == before
 
 
@@ -77,7 +77,7 @@ def test_time_waits_for_no_real_gripper(port: str, waits: bool, monkeypatch: pyt
     seeds = np.random.SeedSequence(0)
     with ExitStack() as opened:
         gripper = grippers.parse(port)
-        open_peers(cameras.parse("virtual"), gripper, first_plan("lift"), seeds, opened, armed=True, tells_truth=False)
+        open_peers(cameras.parse("virtual"), gripper, first_plan("lift"), seeds, opened, armed=True, sends_truth=False)
     assert asked == [waits]
 
 

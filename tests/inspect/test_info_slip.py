@@ -42,7 +42,7 @@ def test_of_a_simulated_slip(made: Made) -> None:
     row = row_of(made.recordings[0])
     with open_recording(made.recordings[0]) as recording:
         assert row["slip_onset_ms"] == true_onset(recording)
-    assert row["slip_told_by"] == "truth"
+    assert row["slip_source"] == "truth"
     told = {"incipient_80_to_gross_ms", "creep_to_gross_ms", "events_per_ms_about_slip", "unloading_n_per_s"}
     assert told <= row.keys()
 
@@ -52,9 +52,9 @@ def test_of_labels_alone(tmp_path: Path) -> None:
     path = tmp_path / "a.recording.h5"
     labels = real_slip(path)
     row = row_of(path)
-    assert (row["slip_onset_ms"], row["slip_told_by"]) == (ONSET, "labels")
+    assert (row["slip_onset_ms"], row["slip_source"]) == (ONSET, "labels")
     assert (row["events_per_ms_about_slip"], row["held_over_25_events"]) == (40.0, 0.0)
-    assert row["slip_not_told"].split(", ") == [
+    assert row["slip_unknown"].split(", ") == [
         name for name in WORDS if name not in ("events_per_ms_about_slip", "held_over_25_events")
     ]
     labels.unlink()

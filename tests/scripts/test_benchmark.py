@@ -14,13 +14,13 @@ import benchmark_trials
 import motions
 
 ROOT = Path(__file__).resolve().parents[2]
-SAID = benchmark_trials.recipe()
+RECIPE = benchmark_trials.recipe()
 SIZES = ("small", "full")
 
 
 def test_the_small_version_is_part_of_the_full_one() -> None:
     """Assert that its trials, with their names and seeds, are all in the full version, and names are unique."""
-    small, full = (benchmark_trials.slots(SAID, size) for size in SIZES)
+    small, full = (benchmark_trials.slots(RECIPE, size) for size in SIZES)
     assert set(small) < set(full)
     assert len({slot.name for slot in full}) == len({slot.seed for slot in full}) == len(full)
     few, all_of_them = (json.loads(benchmark.digests_path(size).read_text())["recordings"].items() for size in SIZES)
@@ -29,10 +29,10 @@ def test_the_small_version_is_part_of_the_full_one() -> None:
 
 def test_seeds_and_sensors_are_those_of_the_benchmark() -> None:
     """Assert that seeds and sensors are within 95000 to 95999, and two splits share none."""
-    full = benchmark_trials.slots(SAID, "full")
+    full = benchmark_trials.slots(RECIPE, "full")
     sensors = {
         slot.split: {
-            name for one in full if one.split == slot.split for name, _ in benchmark_trials.candidates(SAID, one)
+            name for one in full if one.split == slot.split for name, _ in benchmark_trials.candidates(RECIPE, one)
         }
         for slot in full
     }
@@ -52,9 +52,9 @@ def test_no_constant_saw_the_seeds() -> None:
 
 def test_known_objects_were_trained_on() -> None:
     """Assert that the objects of `known-object` are among those that weights were fitted to, and new ones are not."""
-    assert set(SAID["known_objects"]) <= set(motions.TRAINED)
-    for slot in benchmark_trials.slots(SAID, "full"):
-        name = benchmark_trials.object_of(SAID, slot)[1]
+    assert set(RECIPE["known_objects"]) <= set(motions.TRAINED)
+    for slot in benchmark_trials.slots(RECIPE, "full"):
+        name = benchmark_trials.object_of(RECIPE, slot)[1]
         assert name.startswith("paper-") == (slot.split == "known-object")
 
 
@@ -62,7 +62,7 @@ def test_known_objects_were_trained_on() -> None:
 def test_digests_are_those_of_the_recipe(size: str) -> None:
     """Assert that the digests in the repository are of this recipe, and of all its recordings."""
     about = json.loads(benchmark.digests_path(size).read_text())
-    recorded = {slot.name for slot in benchmark_trials.slots(SAID, size) if slot.kind != "grip"}
+    recorded = {slot.name for slot in benchmark_trials.slots(RECIPE, size) if slot.kind != "grip"}
     assert set(about["recordings"]) == recorded
     assert about["method"] == benchmark_files.METHOD
     assert about["recipe_sha256"] == hashlib.sha256(benchmark_trials.RECIPE.read_bytes()).hexdigest()
@@ -72,10 +72,10 @@ def test_finished_recordings_are_kept_for_the_same_recipe_only(tmp_path: Path, m
     """Assert that a recording whose row exists is not simulated again, unless the recipe is another one."""
     parts = tmp_path / "a.parts"
     benchmark_files._prepare_parts(parts)
-    slot = benchmark_trials.slots(SAID, "small")[0]
+    slot = benchmark_trials.slots(RECIPE, "small")[0]
     (parts / "rows" / f"{slot.name}.json").write_text('{"recording": "known"}')
     benchmark_files._prepare_parts(parts)
-    assert benchmark_files._record((SAID, slot, parts)) == {"recording": "known"}
+    assert benchmark_files._record((RECIPE, slot, parts)) == {"recording": "known"}
     other = tmp_path / "recipe.toml"
     other.write_text(benchmark_trials.RECIPE.read_text() + "\n")
     monkeypatch.setattr(benchmark_files, "RECIPE", other)

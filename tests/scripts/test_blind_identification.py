@@ -47,9 +47,9 @@ def test_widths_and_hits_are_counted() -> None:
     narrow = [result(0.04, 0.06)] * 9 + [result(0.06, 0.07)]
     by_name = {row["parameter"]: row for row in blind.parameter_rows(narrow)}
     row = by_name["noise_hz"]
-    assert row["told"] == 10 and row["held"] == 9 and row["found"]
+    assert row["estimated"] == 10 and row["held"] == 9 and row["found"]
     assert row["width_mean"] == pytest.approx((9 * 0.02 + 0.01) / 10 / 0.095)
-    assert by_name["mismatch"]["told"] == 0 and not by_name["mismatch"]["found"]
+    assert by_name["mismatch"]["estimated"] == 0 and not by_name["mismatch"]["found"]
     more_missed = blind.parameter_rows([result(0.04, 0.06)] * 8 + [result(0.06, 0.07)] * 2)
     wide = blind.parameter_rows([result(0.02, 0.09)] * 10)
     not_always = blind.parameter_rows([*narrow, {**result(0, 0), "rows": []}])

@@ -25,9 +25,9 @@ def test_a_seed_is_a_grasp(trials: Any) -> None:
     for seed in (0, 3):
         one = trials.drawn(seed)
         assert one == trials.drawn(seed)
-        touched = one.plan.touched
-        assert trials.MASS_G[0] <= touched.mass_g <= trials.MASS_G[1]
-        assert abs(touched.lever_mm) <= trials.LEVER_MM
+        object = one.plan.object
+        assert trials.MASS_G[0] <= object.mass_g <= trials.MASS_G[1]
+        assert abs(object.lever_mm) <= trials.LEVER_MM
         assert 0 <= one.latency_ms <= trials.LATENCY_MS
         devices = one.rig(camera=False)
         simulation = devices.gripper.simulation

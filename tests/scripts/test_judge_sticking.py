@@ -32,10 +32,10 @@ def trial(share: np.ndarray, slips: np.ndarray) -> Trial:
 
 def looks(count: int, share: float, alarm: np.ndarray) -> Looks:
     """Looks every 5 ms that all say the same."""
-    said = np.full(count, share, np.float32)
+    estimated = np.full(count, share, np.float32)
     fields = np.zeros((count, 2, len(REST_PX), 2), np.float32)
     inputs = np.zeros((count, INPUTS), np.float32)
-    return Looks(4 + 5 * np.arange(count), inputs, said, said, said, 0 * said + 0.1, alarm, fields)
+    return Looks(4 + 5 * np.arange(count), inputs, estimated, estimated, estimated, 0 * estimated + 0.1, alarm, fields)
 
 
 def test_errors_slips_and_alarms_are_counted() -> None:
@@ -84,11 +84,11 @@ def test_a_training_learns_and_is_the_same_again(monkeypatch: pytest.MonkeyPatch
     share = (inputs[:, -1] > 0).astype(np.float32)
     learnt = training.Samples(inputs, share, np.where(rng.random(4000) < 0.2, np.nan, share).astype(np.float32))
     weights = training.trained(learnt, 3)
-    said = training.told(weights, inputs)
-    assert ((said > 0.5) == (share[:, None] > 0.5)).mean() > 0.9
+    estimated = training.estimate(weights, inputs)
+    assert ((estimated > 0.5) == (share[:, None] > 0.5)).mean() > 0.9
     assert all(map(np.array_equal, weights, training.trained(learnt, 3)))
     network = StickingNetwork(*weights, np.ones(11, np.float32))
-    assert slip_estimate(network, inputs[0]) == pytest.approx(said[0], abs=1e-4)
+    assert slip_estimate(network, inputs[0]) == pytest.approx(estimated[0], abs=1e-4)
 
 
 def test_rows_are_kept_and_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -39,7 +39,7 @@ def test_order_of_networks(tmp_path: Path) -> None:
     """Assert that the order counts pairs, of timing and F1, and is not told where a network is missing."""
     rows = [network("fast-slow", 0.9, 0.8), network("hist20", 0.8, 0.9), network("hist10", 0.7, 0.7)]
     missing = told(tmp_path, "order-of-networks", paper_recipe=rows)
-    assert missing.values == () and "does not have it" in missing.untold
+    assert missing.values == () and "does not have it" in missing.not_measured
     others = [network("hist10", 0.0, 0.0, objects_words="unseen")]  # which do not count
     found = told(tmp_path, "order-of-networks", paper_recipe=[*rows, network("no-hist", 0.1, 0.1), *others])
     assert found.values == pytest.approx((11 / 12,)) and found.n == 7
@@ -62,10 +62,10 @@ def test_differences_and_ratios(tmp_path: Path) -> None:
 
 def test_what_is_not_there(tmp_path: Path) -> None:
     """Assert that a missing table, row or tracker is said."""
-    assert "no table grasps" in told(tmp_path, "grasps-kept").untold
-    assert "has no row" in told(tmp_path, "grasps-kept", grasps=[{"setting": "none"}]).untold
+    assert "no table grasps" in told(tmp_path, "grasps-kept").not_measured
+    assert "has no row" in told(tmp_path, "grasps-kept", grasps=[{"setting": "none"}]).not_measured
     stable = {"sensor_name": "evetac", "sensor": "events", "model": "regression", "mae_n_x": 0.1, "mae_n_y": 0.1}
-    assert "does not have it" in told(tmp_path, "force-by-papers-tracker", force=[stable]).untold
+    assert "does not have it" in told(tmp_path, "force-by-papers-tracker", force=[stable]).not_measured
 
 
 def test_every_table_that_a_fact_names_is_there() -> None:

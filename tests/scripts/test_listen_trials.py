@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import listen_trials
 
 KEPT: dict[str, Any] = {
-    **{"kill": "", "goes_on": True, "faults": None, "events_missing": 0, "marks": 2},
+    **{"kill": "", "continues": True, "faults": None, "events_missing": 0, "marks": 2},
     **{"starts_late_ms": -0.5, "ends_early_ms": -1.0},
 }
 
@@ -29,7 +29,7 @@ KEPT: dict[str, Any] = {
         ({"ends_early_ms": 0.1}, False),
         ({"ends_early_ms": 250.0, "kill": "server"}, True),
         ({"ends_early_ms": 450.0, "kill": "server"}, False),
-        ({"goes_on": False}, False),
+        ({"continues": False}, False),
         ({"faults": "x"}, False),
     ],
 )
@@ -40,7 +40,7 @@ def test_what_counts_as_kept(changed: dict[str, Any], kept: bool) -> None:
 
 @pytest.mark.slow
 def test_no_trial_is_lost(tmp_path: Path) -> None:
-    """Assert that trials with a kill of each kind are kept, and that strangers get nothing."""
+    """Assert that trials with a kill of each kind are kept, and that unauthorised get nothing."""
     rows = tmp_path / "rows.jsonl"
     few = ("--trials", "4", "--connections", "1", "--clients", "1", "--servers", "1")
     command = [sys.executable, listen_trials.__file__, "-o", str(rows), *few]
@@ -48,4 +48,4 @@ def test_no_trial_is_lost(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     made = [json.loads(line) for line in rows.read_text().splitlines()]
     assert [row["kept"] for row in made if "trial" in row] == [True] * 4
-    assert all(row["got_nothing"] for row in made if "stranger" in row)
+    assert all(row["refused"] for row in made if "client" in row)

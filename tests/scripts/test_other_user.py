@@ -32,11 +32,11 @@ def test_an_answer_is_reached_and_a_refusal_is_not(tmp_path: Path) -> None:
     page.touch()
     asked = b"GET / HTTP/1.0\r\nHost: 127.0.0.1\r\n\r\n"
     for server in (PageServer([page], {}), Door(lambda request: pytest.fail(), 0)):
-        assert not other_user.refused("port", lambda port=server.port: other_user.said_to(port, asked))["reached"]
+        assert not other_user.refused("port", lambda port=server.port: other_user.reply_to(port, asked))["reached"]
         server.close()
     server = PageServer([page], {})
     asked = asked.replace(b"/ ", f"/{server.token}/ ".encode())
-    assert other_user.refused("port", lambda: other_user.said_to(server.port, asked))["reached"]
+    assert other_user.refused("port", lambda: other_user.reply_to(server.port, asked))["reached"]
     server.close()
     assert other_user.refused("file", page.read_bytes)["reached"]
     assert not other_user.refused("file", (tmp_path / "none").read_bytes)["reached"]

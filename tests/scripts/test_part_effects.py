@@ -1,4 +1,4 @@
-"""Which parts there are, that each is one of scene or sensor that evetac knows, and what is made of trials."""
+"""Which parts there are, that each is one of scene or sensor that evetac has_figure, and what is made of trials."""
 
 import sys
 from functools import lru_cache
@@ -18,7 +18,7 @@ from evetac_cli.sim.parts import rows_of
 
 def slip(part: str, seed: int, **figures: Any) -> Row:
     """The line of a slip."""
-    what = {"part": part, "says": BY_NAME[part].says, "kind": "slip", "object": 2, "seed": seed, "commit": "c"}
+    what = {"part": part, "size": BY_NAME[part].size, "kind": "slip", "object": 2, "seed": seed, "commit": "c"}
     counts = {"labels_counts": [20, 0, 0], "slip_counts": [20, 0, 0]}
     usual = {"events_ms": 50.0, "labels_in_time": True, "slip_in_time": True, "record_us": 100.0, **counts}
     return {**what, **usual, **figures}
@@ -45,7 +45,7 @@ def test_a_part_is_built(part: Part, tmp_path: Path) -> None:
             made, _ = part_effects.planned(part, kind, object_, 5, tmp_path)
             other = without(part.against, kind, object_)
             assert made.plan != other.plan
-            assert (made.seed, made.number, made.plan.called) == (other.seed, other.number, other.plan.called)
+            assert (made.seed, made.number, made.plan.object_name) == (other.seed, other.number, other.plan.object_name)
             assert {row["part"] for row in rows_of(made.plan)} == {row["part"] for row in rows_of(other.plan)}
 
 
@@ -61,5 +61,5 @@ def test_changes() -> None:
     assert 3.0 <= more["low"] < 3.4 < more["high"] <= 4.0
     assert [row["figure"] for row in part_effects.sure(changes)] == ["events_ms"]
     assert not part_effects.tables([*with_leak[:2], *without])[1]
-    other_size = [{**row, "says": "another size"} for row in with_leak]
+    other_size = [{**row, "size": "another size"} for row in with_leak]
     assert [row["part"] for row in part_effects.tables([*other_size, *without])[0]] == [NONE]

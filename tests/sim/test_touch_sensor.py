@@ -76,7 +76,7 @@ def held() -> tuple[GraspSimulation, dict[str, Any]]:
     sampled = trial.sampled
     contact = {
         "shape": "cylinder",
-        "width_mm": slip.touched.width_mm,
+        "width_mm": slip.object.width_mm,
         "static_friction": sampled.static_friction,
         "kinetic_share": sampled.kinetic_friction / sampled.static_friction,
         "tilt_deg": math.degrees(sampled.tilt_rad),

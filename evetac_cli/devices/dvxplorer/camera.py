@@ -139,7 +139,7 @@ class WordSlices(DeviceSlices):
         quiet_ms, unmeasured = self.ms_without_time, self._decoder.unmeasured_times
         events = event_words.step(self._decoder, data, self.device_ms(ended_us), self._most_ms(ended_us))
         if self._decoder.unmeasured_times > unmeasured:  # empty reads measure the silence before it
-            self.heard(ended_us)
+            self.note_sent(ended_us)
             self._quiet_ms += quiet_ms if quiet_ms > event_words.QUIET_MS else 0
         closed = []
         if self._decoder.first_ms is not None and data:

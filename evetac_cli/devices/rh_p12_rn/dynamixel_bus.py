@@ -77,7 +77,7 @@ class _Port(PortHandler):  # type: ignore[misc]
         super().__init__(name)
         self._answer_ms = answer_ms
         self._pause_until_s = 0.0
-        self._heard_s = 0.0
+        self._last_byte_s = 0.0
         self._wary_until_s = 0.0
         self.least_ms = 0.0  # minimum time for answers, if the SDK allows less
         self.strays = 0  # answers that arrived when none was expected
@@ -109,7 +109,7 @@ class _Port(PortHandler):  # type: ignore[misc]
 
     def clearPort(self) -> None:
         if time.monotonic() < self._wary_until_s:
-            left_s = self._heard_s + FOLLOWS_S + LONGEST_ANSWER * self.tx_time_per_byte * 1e-3 - time.monotonic()
+            left_s = self._last_byte_s + FOLLOWS_S + LONGEST_ANSWER * self.tx_time_per_byte * 1e-3 - time.monotonic()
             time.sleep(max(left_s, 0.0))
         if self.ser.in_waiting:
             self.strays += 1
@@ -129,7 +129,7 @@ class _Port(PortHandler):  # type: ignore[misc]
             select.select([self.ser.fileno()], [], [], max(left_ms, 0.0) * 1e-3 + PAUSE_S)
         data = bytes(self.ser.read(length))
         if data:
-            self._heard_s = time.monotonic()
+            self._last_byte_s = time.monotonic()
         return data
 
     def pause_after(self, size: int) -> None:

@@ -229,7 +229,7 @@ class ServoLine:
         self._clock = clock
         self._faults = faults
         self._reader = FrameReader()
-        self._heard_s = 0.0
+        self._last_byte_s = 0.0
         self._woken_s = clock.now_s()
         self._due: list[tuple[float, bytes]] = []
         self._servo_end, self._host_end = (
@@ -258,7 +258,7 @@ class ServoLine:
             self._send()
             if self._servo_end in ready:
                 self._receive()
-            elif self._reader.partial and time.monotonic() - self._heard_s > PAUSE_S:
+            elif self._reader.partial and time.monotonic() - self._last_byte_s > PAUSE_S:
                 self._reader.forget()
         return more in ready
 
@@ -281,7 +281,7 @@ class ServoLine:
         if rate != self._servo.baud:
             self._reader.forget()
             return
-        self._heard_s = host_s
+        self._last_byte_s = host_s
         for frame in self._reader.push(data):
             for answer in self._servo.handle(frame, now_s):
                 spoiled = self._faults.spoil(answer, now_s, self._servo.torque)

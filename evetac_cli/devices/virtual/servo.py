@@ -53,7 +53,7 @@ class VirtualServo:
     def __init__(self, plant: Plant, registers: Mapping[str, int], now_s: float) -> None:
         """registers: values that differ from the factory values; ValueError for an unknown name or a wrong size."""
         self._plant = plant
-        self._booted_s = self._heard_s = self._now_s = now_s
+        self._booted_s = self._last_byte_s = self._now_s = now_s
         self.instructions: Counter[int] = Counter()  # how often each instruction was received
         self.false_readings: Mapping[str, int] = {}  # values that registers show instead of the measured ones
         self._memory = bytearray(table.TABLE_SIZE)
@@ -97,13 +97,13 @@ class VirtualServo:
     def tick(self, now_s: float) -> None:
         """Let the plant move until now, and trip the watchdog if the host was silent."""
         self._now_s = now_s
-        if self._watchdog_s and now_s - self._heard_s > self._watchdog_s:
+        if self._watchdog_s and now_s - self._last_byte_s > self._watchdog_s:
             self.trip()
         self._motion = self._plant.advance(self._goals, now_s)
 
     def forgive(self, frozen_s: float) -> None:
         """Exclude a time (s) for which this process was stopped: the host was not silent then."""
-        self._heard_s += frozen_s
+        self._last_byte_s += frozen_s
 
     def trip(self) -> None:
         """Trip the Bus Watchdog: no current, and goals are refused until 0 is written to it."""
@@ -171,7 +171,7 @@ class VirtualServo:
             return None
         fault, data = StatusError.CRC, b""
         if frame.sound:
-            self._heard_s = now_s
+            self._last_byte_s = now_s
             self.instructions[frame.instruction] += 1
             try:
                 fault, data = StatusError.NONE, self._carry_out(frame, now_s)

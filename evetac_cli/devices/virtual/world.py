@@ -71,7 +71,7 @@ class VirtualWorld:
         plan: Plan,
         seeds: np.random.SeedSequence,
         *,
-        tells_truth: bool = False,
+        sends_truth: bool = False,
         waits: bool = True,
         **durations: float,
     ) -> None:
@@ -90,7 +90,7 @@ class VirtualWorld:
         self._orders, orders = context.Pipe()
         pipes = [context.Pipe(duplex=False) for _ in range(1 if plan.second is None else 2)]
         self._all_words, words = [ours for ours, _ in pipes], [theirs for _, theirs in pipes]
-        truths, truth_pipe = context.Pipe(duplex=False) if tells_truth else (None, None)
+        truths, truth_pipe = context.Pipe(duplex=False) if sends_truth else (None, None)
         self.truths = None if truths is None else MessageReader(truths)
         self._process: BaseProcess | None = context.Process(
             target=telling,

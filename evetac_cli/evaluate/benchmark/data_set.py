@@ -110,7 +110,7 @@ class Truth(NamedTuple):
     """
 
     sensor: str
-    touched: str
+    object_name: str
     slips: Flags
     share: NDArray[np.float32]
     held: Flags
@@ -144,7 +144,7 @@ def read_truth(benchmark: Benchmark) -> dict[str, Truth]:
     return {name: _of_file(path.with_name(f"{name}.h5"), *every[name]) for name in benchmark.entries}
 
 
-def _of_file(path: Path, sensor: str, touched: str) -> Truth:
+def _of_file(path: Path, sensor: str, object_name: str) -> Truth:
     with CheckedHdf5(path, "the truth of a recording", MADE_BY) as file:
         datasets = file.datasets()
         missing = [name for name in DATASETS if name not in datasets]
@@ -155,7 +155,7 @@ def _of_file(path: Path, sensor: str, touched: str) -> Truth:
     onset = int(values["onset_ms"])
     return Truth(
         sensor,
-        touched,
+        object_name,
         (np.asarray(values["slip"]) > 0) & held,
         np.asarray(values["visible_slip_share"], np.float32),
         held,

@@ -186,8 +186,8 @@ def lift_flags(benchmark: Benchmark, name: str, lift: Row, **chosen: Any) -> Gra
     """Return the flags of `evetac grasp` that play a lift; chosen: controller, model and others."""
     folder = benchmark.folder / "truth" / "lifts"
     flags = {flag: lift[flag] for flag in LIFT_FLAGS}
-    scene, touched = (str(folder / f"{name}.{what}.toml") for what in ("scene", "object"))
-    return Grasp(scene=scene, objects=touched, **flags, **chosen)
+    scene, object_name = (str(folder / f"{name}.{what}.toml") for what in ("scene", "object"))
+    return Grasp(scene=scene, objects=object_name, **flags, **chosen)
 
 
 def play_lifts(

@@ -43,7 +43,7 @@ class TrialScore(NamedTuple):
 
     split: str
     sensor: str
-    touched: str
+    object_name: str
     above: float
     below: float = 1.0
     more: Mapping[str, float] = {}
@@ -59,9 +59,9 @@ def all_rows(benchmark: Benchmark, truth: Mapping[str, Truth], made: Predictions
     if made.warning is not None:
         threshold, per_min, minutes = threshold_of(benchmark, truth, made.warning)
         parts = warning_parts(benchmark, truth, made.warning, threshold)
-        said: Row = {"threshold": threshold, "false_per_min": per_min, "quiet_minutes": minutes}
+        alarms: Row = {"threshold": threshold, "false_per_min": per_min, "quiet_minutes": minutes}
         still = [benchmark.entries[name].split for name in made.warning if not truth[name].slip_begins]
-        rows += [row | said for row in task_rows("warning", parts, left_out=still)]
+        rows += [row | alarms for row in task_rows("warning", parts, left_out=still)]
     if made.force_n is not None:
         rows += task_rows("force", force_parts(benchmark, truth, made.force_n))
     if made.dot_xy_px is not None:
@@ -96,7 +96,7 @@ def task_rows(
             row |= {name: float(of_ratio(value)) for name, value in estimate._asdict().items()}
         row |= {
             "sensors": len({part.sensor for part in chosen}),
-            "objects": len({part.touched for part in chosen}),
+            "objects": len({part.object_name for part in chosen}),
             **{name: mean(part.more[name] for part in chosen) for name in names},
             **{f"{name}_n": sum(bool(np.isfinite(part.more[name])) for part in chosen) for name in partly_known},
         }
@@ -107,13 +107,13 @@ def task_rows(
 def _estimate(parts: Sequence[TrialScore]) -> Estimate | None:
     if not parts:
         return None
-    weights = estimates.cluster_weights([part.sensor for part in parts], [part.touched for part in parts])
+    weights = estimates.cluster_weights([part.sensor for part in parts], [part.object_name for part in parts])
     above, below = (np.array([getattr(part, name) for part in parts]) for name in ("above", "below"))
     return estimates.ratio_of_clusters(above, below, weights)
 
 
 def _part(benchmark: Benchmark, true: Truth, name: str, above: float, **more: float) -> TrialScore:
-    return TrialScore(benchmark.entries[name].split, true.sensor, true.touched, above, more=more)
+    return TrialScore(benchmark.entries[name].split, true.sensor, true.object_name, above, more=more)
 
 
 def onset_parts(

@@ -9,7 +9,7 @@ There are three intervals:
 
 Each interval has a row over all recordings, and with several objects one for each.
 
-If an interval is unknown, the column `not_answered` gives the reason. The whole recording is always known.
+If an interval is unknown, the column `not_measured` gives the reason. The whole recording is always known.
 
 Only events in columns x < 540 are counted, as in the paper, which compares them with a frame of 540 columns. Events in
 the columns beyond, where a cut gel has its window, are reported as a separate share. Every event has the same size, as
@@ -167,7 +167,7 @@ def _row(recording: Recording, spans: Intervals, params: EvaluateDataRate) -> di
         row[f"share_{name}"] = None if bytes_s is None else bytes_s / _rgb_bytes_s(params)
         row[f"window_share_{name}"] = None if window_bytes_s is None else window_bytes_s / _rgb_bytes_s(params)
     reasons = [f"{name}: {interval.missing_because}" for name, interval in spans.items() if interval.missing_because]
-    return row | {slip_grid.COLUMN: slip_grid.nodes_of(recording), "not_answered": "; ".join(reasons) or None}
+    return row | {slip_grid.COLUMN: slip_grid.nodes_of(recording), "not_measured": "; ".join(reasons) or None}
 
 
 def intervals(recording: Recording, around_s: float) -> Intervals:

@@ -132,8 +132,13 @@ def trial_row(path: Path, header: Header) -> dict[str, Any]:
     drop = plan.scene.drop
     if drop is not None and plan.scene.time.touch_s + planned["lift_s"] + drop.after_s < seconds:
         mass_g += drop.mass_g
-    names = {"setting": describe_setting(plan, planned), "object": plan.called, "file": path.name, "carried_g": mass_g}
-    names |= {"scene": plan.scene.name, "sensor": plan.sensor_name, "gel": "cut" if plan.scene.gel.cut else "closed"}
+    names = {"setting": describe_setting(plan, planned), "object": plan.object_name, "file": path.name}
+    names |= {
+        "carried_g": mass_g,
+        "scene": plan.scene.name,
+        "sensor": plan.sensor_name,
+        "gel": "cut" if plan.scene.gel.cut else "closed",
+    }
     return {**names, **figures, slip_grid.COLUMN: nodes}
 
 
@@ -235,7 +240,7 @@ def _lines(by_object: Rows) -> tuple[Lines, list[str]]:
     """Return the line of each row by object and setting, with a gap between objects, and the settings to draw."""
     shown = list(dict.fromkeys(row["setting"] for row in by_object))[:MOST_SETTINGS]
     lines: Lines = []
-    for number in sorted({row["object"] for row in by_object}, key=lambda called: (isinstance(called, str), called)):
+    for number in sorted({row["object"] for row in by_object}, key=lambda name: (isinstance(name, str), name)):
         of_object = {row["setting"]: row for row in by_object if row["object"] == number}
         start = lines[-1][0] + 2 if lines else 0
         present = [setting for setting in shown if setting in of_object]

@@ -108,7 +108,7 @@ def for_people(rows: Rows, params: EvaluateLikeness) -> tuple[Rows, list[str]]:
     counted = [row for row in of_facts if row["counts"] is not None]
     within, near = (sum(row["compared"] == one for row in counted) for one in (WITHIN, NEAR))
     known_count = sum(row["compared"] is not None for row in counted)
-    elsewhere = sum(row["not_told"] is None for row in of_facts) - len(checkable)
+    elsewhere = sum(row["not_measured"] is None for row in of_facts) - len(checkable)
     lines = [
         f"These recordings provide {len(checkable)} facts, constants {elsewhere} more (--json lists all);"
         " docs/evidence/likeness.md explains each.",
@@ -119,8 +119,8 @@ def for_people(rows: Rows, params: EvaluateLikeness) -> tuple[Rows, list[str]]:
         lines.append("Real recordings are assumed to show the motions of each fact; only their author can check this.")
     reasons: dict[str, list[str]] = defaultdict(list)
     for row in of_facts:
-        if row["not_told"]:
-            reasons[row["not_told"]].append(row["name"])
+        if row["not_measured"]:
+            reasons[row["not_measured"]].append(row["name"])
     return shown, [*lines, *(f"Unknown, because {why}: {', '.join(names)}." for why, names in reasons.items())]
 
 
@@ -149,7 +149,7 @@ def _fact_row(fact: Fact, measured: Iterable[MeasuredRecording]) -> Row:
     if not simulated.values and fact.constant:
         simulated = Ours(constant_of(fact.constant), origin=f"{'.'.join(fact.constant)} as it is set")
     elif not simulated.values and not fact.measures:
-        simulated = Ours(untold=f"it needs {fact.needs}" if fact.needs else "no command measures it")
+        simulated = Ours(not_measured=f"it needs {fact.needs}" if fact.needs else "no command measures it")
     return {
         "counts": fact.counts,
         "name": fact.name,
@@ -167,7 +167,7 @@ def _fact_row(fact: Fact, measured: Iterable[MeasuredRecording]) -> Row:
         "real_values": json.dumps(real.values),
         "real_n": real.n,
         "real_compared": fact.compare(real.values),
-        "not_told": None if simulated.values or real.values else simulated.untold,
+        "not_measured": None if simulated.values or real.values else simulated.not_measured,
         "source": fact.source,
         "command": fact.command,
     }
@@ -176,7 +176,7 @@ def _fact_row(fact: Fact, measured: Iterable[MeasuredRecording]) -> Row:
 def _of_recordings(fact: Fact, measured: list[MeasuredRecording]) -> Ours:
     """Return the figures of a fact from recordings of one kind, simulated or real."""
     if not fact.measures:
-        return Ours(untold=fact.needs)
+        return Ours(not_measured=fact.needs)
     judged = _judged(measured)
     values: list[float | None] = []
     numbers: list[int] = []
@@ -193,8 +193,8 @@ def _of_recordings(fact: Fact, measured: list[MeasuredRecording]) -> Ours:
         pairs = [entry.partition("@")[::2] for entry in fact.measures]
         scenes = sorted({scene for name, scene in pairs if scene and any(name in one.row for one in measured)})
         if scenes:  # measured, but only in simulations of other scenes
-            return Ours(untold=f"no simulated recording here is of the scene {' or '.join(scenes)}")
-        return Ours(untold=f"these recordings do not have {fact.needs}")
+            return Ours(not_measured=f"no simulated recording here is of the scene {' or '.join(scenes)}")
+        return Ours(not_measured=f"these recordings do not have {fact.needs}")
     return Ours(tuple(values), min(number for number in numbers if number), HERE)
 
 
@@ -215,7 +215,7 @@ def _summary(rows: Rows, measured: list[MeasuredRecording]) -> Row:
     return {
         "recordings": len(measured),
         "facts": len(rows),
-        "facts_told": sum(row["not_told"] is None for row in rows),
+        "facts_measured": sum(row["not_measured"] is None for row in rows),
         "counted": len(counted),
         "counted_known": sum(row["compared"] is not None for row in counted),
         "counted_within": sum(row["compared"] == WITHIN for row in counted),

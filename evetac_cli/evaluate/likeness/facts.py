@@ -181,4 +181,4 @@ class Ours:
     values: Values = ()
     n: int | None = None
     origin: str = ""
-    untold: str = ""
+    not_measured: str = ""

@@ -165,7 +165,7 @@ def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Pro
             where, expected = f"{job.inputs[0]}, {job.inputs[1]}", f"{SHORTEST_REST} ms at rest or {SHORTEST_MOTION} ms"
             raise InputError("no phase in common", where=where, expected=f"{expected} of motion, in both")
         compared, with_halves, as_halves = _counts(rows)
-        apart = _told_apart(job.inputs, progress)
+        apart = _separability(job.inputs, progress)
         beside = "auc_of_halves" if params.same is None else "auc_of_same"
         of_auc = {"auc": "distance", beside: "distance_of_halves", "windows": "real", "windows_simulated": "simulated"}
         return [*rows, *apart], {
@@ -228,7 +228,7 @@ def _headers(paths: Sequence[Path]) -> tuple[list[Header], tuple[int, int]]:
     return headers, frames[0]
 
 
-def _told_apart(paths: Sequence[Path], progress: Progress) -> Rows:
+def _separability(paths: Sequence[Path], progress: Progress) -> Rows:
     """Return the row of the classifier: windows of each recording, AUC, and AUC for one sensor.
 
     No row if the recordings are too short.
@@ -266,7 +266,7 @@ def window_features(recording: Recording) -> Floats:
 def auc(first: Floats, second: Floats) -> float | None:
     """Return the AUC of held-out windows of two recordings; None if they are too short."""
     try:
-        return realism.told_apart(first, second)
+        return realism.separability(first, second)
     except ValueError:
         return None
 

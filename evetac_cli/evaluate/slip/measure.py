@@ -317,7 +317,7 @@ def _draw(figure: Any, outcome: Outcome, source: Source) -> None:
     picture.label_x(panels, f"onset by the model minus\n{'true onset' if by_truth else 'onset in the labels'} [ms]")
     below.supylabel("share of slips detected by then", fontsize=9)
     picture.legend(below, panels)
-    _draw_warnings(last, settings, [row for row in outcome.rows if "said_from" in row])
+    _draw_warnings(last, settings, [row for row in outcome.rows if "predicted_from" in row])
 
 
 def _draw_timing(axes: Any, place: int, row: dict[str, Any], slips: int) -> None:
@@ -357,7 +357,7 @@ def _draw_warnings(figure: Any, settings: Rows, steps: Rows) -> None:
             interval = {**picture.INTERVAL, "ecolor": style["color"]}
             warned.errorbar(10, row["warned_10_ms"], yerr=reach, **interval)
         of_setting = [step for step in steps if step["setting"] == row["setting"]]
-        calibration.plot([step["said"] for step in of_setting], [step["happened"] for step in of_setting], **style)
+        calibration.plot([step["predicted"] for step in of_setting], [step["observed"] for step in of_setting], **style)
     calibration.plot([0, 1], [0, 1], color="0.5", linewidth=0.8, label="perfectly calibrated")
     warned.set(xlabel="minimum warning time [ms]", ylabel="share of slips", xticks=[*slip_warnings.WARNED])
     calibration.set(xlabel="predicted probability of slip", ylabel="share that slips")

@@ -156,11 +156,11 @@ def reliability_rows(setting: str, predictions: Sequence[Sequence[Prediction]]) 
     return [
         {
             "setting": setting,
-            "said_from": one.low,
-            "said_to": one.high,
+            "predicted_from": one.low,
+            "predicted_to": one.high,
             "slices": one.slices,
-            "said": one.mean_probability,
-            "happened": one.happened,
+            "predicted": one.mean_probability,
+            "observed": one.observed,
         }
         for one in bins(predictions)
     ]

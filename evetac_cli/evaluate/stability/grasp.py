@@ -103,8 +103,8 @@ def _servo(factor: float, plan: Plan) -> Plan:
 
 
 def _friction(static: float, plan: Plan) -> Plan:
-    assert plan.touched is not None
-    return replace(plan, touched=replace(plan.touched, static_friction=static))
+    assert plan.object is not None
+    return replace(plan, object=replace(plan.object, static_friction=static))
 
 
 def _scene(tables: Tables, plan: Plan) -> Plan:

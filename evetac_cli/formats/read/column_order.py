@@ -65,7 +65,7 @@ def lacking_columns(names: Sequence[str]) -> list[str]:
     return [column for column in NAMES if column not in columns]
 
 
-def said_order(text: str, where: str) -> str:
+def declared_order(text: str, where: str) -> str:
     """Parse the user's order, for example "t y x p"; raise InputError unless it has each of t, x, y, p once."""
     names = text.replace(",", " ").split()
     if sorted(names) != sorted(NAMES):
@@ -81,7 +81,7 @@ def refuse_columns(columns: str | None, where: str) -> None:
         raise InputError(message, where=where, found=columns[:80], hint="leave out --columns")
 
 
-def unit_said(time_unit: str | None, own: float | None, where: str) -> float | None:
+def declared_unit(time_unit: str | None, own: float | None, where: str) -> float | None:
     """Return the unit of time, in us, that the user or the file states; None if neither does.
 
     Raises InputError if they differ.

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.note import CLOCK_LIMIT_US, NAME, Note, read_note
-from evetac_cli.formats.read.column_order import by_name, places_of, refuse_columns, said_order, unit_said
+from evetac_cli.formats.read.column_order import by_name, declared_order, declared_unit, places_of, refuse_columns
 from evetac_cli.formats.read.column_times import ColumnTimes
 from evetac_cli.formats.read.source import EventColumns, EventSource, at_index, check_lengths, choose_frame
 from evetac_cli.store.hdf5.checked_hdf5 import CheckedHdf5, damage_in_words
@@ -76,11 +76,11 @@ def open_hdf5(
     hint = "give it with --frame-size WIDTHxHEIGHT (640x480 for the DSEC data set)"
     frame = choose_frame(own_px, frame_px, where, hint)
     source = EventSource("hdf5", frame, (), clock_us, note=note, may_be_empty=note is None, left_out=left_out)
-    unit = unit_said(time_unit, None, where) or layout.us_per_unit
+    unit = declared_unit(time_unit, None, where) or layout.us_per_unit
     source.times = ColumnTimes(where, unit, documented=time_unit is None and note is None)
     places = None
     if layout.order:
-        places = places_of(layout.order if columns is None else said_order(columns, where))
+        places = places_of(layout.order if columns is None else declared_order(columns, where))
     else:
         refuse_columns(columns, where)
     source.batches = _batches(path, layout, places, rows[0], source.times)

@@ -25,11 +25,11 @@ from evetac_cli.errors import InputError
 from evetac_cli.formats.read.column_order import (
     Order,
     by_name,
+    declared_order,
+    declared_unit,
     guess_order,
     places_of,
     refuse_columns,
-    said_order,
-    unit_said,
 )
 from evetac_cli.formats.read.column_times import ColumnTimes
 from evetac_cli.formats.read.damage import read_in_words, refuse_too_much
@@ -91,10 +91,10 @@ def open_numpy(
     if order is None:
         sample = np.stack([part[:BATCH_ROWS] for part in parts], axis=1)
         guessed = guess_order(sample) if columns is None else ""
-        order = Order(places_of(guessed or said_order(str(columns), where)), None)
+        order = Order(places_of(guessed or declared_order(str(columns), where)), None)
     else:
         refuse_columns(columns, where)
-    source.times = ColumnTimes(where, unit_said(time_unit, order.us_per_unit, where))
+    source.times = ColumnTimes(where, declared_unit(time_unit, order.us_per_unit, where))
     source.guessed_order = guessed
     source.batches = _batches([parts[place] for place in order.places], source.times)
     return source

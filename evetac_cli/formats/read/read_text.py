@@ -24,12 +24,12 @@ from evetac_cli.formats.read.column_order import (
     ORDERS,
     Order,
     by_name,
+    declared_order,
+    declared_unit,
     guess_order,
     lacking_columns,
     places_of,
     refuse_columns,
-    said_order,
-    unit_said,
 )
 from evetac_cli.formats.read.column_times import ColumnTimes
 from evetac_cli.formats.read.source import EventColumns, EventSource, choose_frame, no_events
@@ -126,7 +126,7 @@ def _batches(
                 begun = begun or bool(data)
             if layout is None:  # no line with an event yet
                 continue
-            unit = unit_said(time_unit, layout.order.us_per_unit, str(path))
+            unit = declared_unit(time_unit, layout.order.us_per_unit, str(path))
             source.times = ColumnTimes(str(path), unit, guess=_unit(lines, layout))
             source.guessed_order = "" if source.note else layout.guessed
         table = _table(path, number, lines, layout)
@@ -211,7 +211,7 @@ def _layout(path: Path, number: int, lines: list[str], first: str, names: list[s
         unused = [f"values of {name.strip()[:40] or i + 1}" for i, name in enumerate(names) if i not in order.places]
         return TextLayout(order, len(names), separator, unused=tuple(unused), truth=truth)
     if columns is not None:
-        return TextLayout(Order(places_of(said_order(columns, str(path))), None), 4, separator, truth=truth)
+        return TextLayout(Order(places_of(declared_order(columns, str(path))), None), 4, separator, truth=truth)
     plain = TextLayout(Order(places_of(ORDERS[0]), None), 4, separator, truth=truth)
     guessed = guess_order(_table(path, number, lines, plain))
     return plain._replace(order=Order(places_of(guessed), None), guessed=guessed)

@@ -31,7 +31,7 @@ SHEAR_SHARE, NORMAL_SHARE = 0.02, 0.05
 # for the worst shape, and may differ for contacts of another gel or camera.
 NORMAL_FACTOR_SD = 0.1
 MOST_SHARE = 0.5  # largest deviation that counts as a term, as a share of the force
-NOT_TOLD_SD = 2.5  # sd of the deviation's weight: 2.3 for 219 contacts of 1 to 20 N (seeds 6200-6227)
+DEVIATION_WEIGHT_SD = 2.5  # sd of the deviation's weight: 2.3 for 219 contacts of 1 to 20 N (seeds 6200-6227)
 
 
 class ForceErrorModel(NamedTuple):
@@ -130,8 +130,8 @@ def normal_terms(normal_mm2: Floats, normal_sd_mm2: Floats) -> Floats:
 
     The deviation is limited to MOST_SHARE of the force: it is larger for contact beyond the dots, without information.
     """
-    not_told = np.minimum(normal_sd_mm2, MOST_SHARE * np.abs(normal_mm2))
-    return np.column_stack([normal_mm2, not_told, np.ones(len(normal_mm2))])
+    deviation_mm2 = np.minimum(normal_sd_mm2, MOST_SHARE * np.abs(normal_mm2))
+    return np.column_stack([normal_mm2, deviation_mm2, np.ones(len(normal_mm2))])
 
 
 def scale_of(gel: Stiffness) -> Scale:
@@ -219,7 +219,7 @@ def adapt(
     normals = _update(
         normal,
         normal_covariance,
-        np.array([(NORMAL_FACTOR_SD * normal[0]) ** 2, (NOT_TOLD_SD * normal[0]) ** 2, NORMAL_OFFSET_N**2]),
+        np.array([(NORMAL_FACTOR_SD * normal[0]) ** 2, (DEVIATION_WEIGHT_SD * normal[0]) ** 2, NORMAL_OFFSET_N**2]),
         _Readings(
             known_forces.normal,
             known_forces.normal_n,

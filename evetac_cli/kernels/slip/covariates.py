@@ -132,7 +132,7 @@ def summary(slips: Sequence[SlipCovariates]) -> list[dict[str, Any]]:
     return rows
 
 
-def not_told(slips: Sequence[SlipCovariates]) -> list[str]:
+def unknown_covariates(slips: Sequence[SlipCovariates]) -> list[str]:
     """Return the names of the covariates that are unknown for every slip."""
     return [name for name in WORDS if all(getattr(slip, name) is None for slip in slips)]
 

@@ -80,7 +80,7 @@ class ReliabilityBin(NamedTuple):
     high: float
     slices: int
     mean_probability: float
-    happened: float  # share
+    observed: float  # share
 
 
 def bins(probability: NDArray[np.float64], slips: NDArray[np.bool_]) -> list[ReliabilityBin]:
@@ -90,10 +90,10 @@ def bins(probability: NDArray[np.float64], slips: NDArray[np.bool_]) -> list[Rel
     for number in range(len(BINS) - 1):
         of_bin = (place == number) & (probability > ABOVE)
         if of_bin.any():
-            mean_probability, happened = float(probability[of_bin].mean()), float(slips[of_bin].mean())
+            mean_probability, observed = float(probability[of_bin].mean()), float(slips[of_bin].mean())
             count = int(np.count_nonzero(of_bin))
             result.append(
-                ReliabilityBin(float(BINS[number]), float(BINS[number + 1]), count, mean_probability, happened)
+                ReliabilityBin(float(BINS[number]), float(BINS[number + 1]), count, mean_probability, observed)
             )
     return result
 
@@ -103,7 +103,7 @@ def expected_error(bins: Sequence[ReliabilityBin]) -> float | None:
     slices = sum(one.slices for one in bins)
     if not slices:
         return None
-    return sum(one.slices * abs(one.mean_probability - one.happened) for one in bins) / slices
+    return sum(one.slices * abs(one.mean_probability - one.observed) for one in bins) / slices
 
 
 def _log_odds(probability: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -62,7 +62,7 @@ FIELDS = 2 + len(LOOKS_BACK)
 INPUTS = FIELDS * 2 * len(LATTICE_MM) + 1  # the last one is the log of the displacement
 SMALLEST_MM = 0.01  # lower bound of the displacement that the fields are divided by
 USUAL_MM = 0.1  # unit of the displacement in the last input
-MOST_TOLD = 30.0  # bound on log odds
+MOST_LOG_ODDS = 30.0  # bound on log odds
 MOST_MASKS = 8  # sets of tracked dots whose weights are cached
 ALL_STICKS = 0.95  # at or above this sticking share there is no direction of slip
 # An alarm: the probability that slip has begun is at least ALARM in PATIENCE consecutive looks. Chosen on objects 4, 7
@@ -270,7 +270,7 @@ def slip_estimate(network: StickingNetwork, inputs: Singles) -> tuple[float, flo
 
 @njit(cache=True, _nrt=False)
 def _probability(odds: float) -> float:
-    return 1.0 / (1.0 + math.exp(-min(max(odds, -MOST_TOLD), MOST_TOLD)))
+    return 1.0 / (1.0 + math.exp(-min(max(odds, -MOST_LOG_ODDS), MOST_LOG_ODDS)))
 
 
 def _deviation(share_sd: Singles, sticks: float) -> float:

@@ -9,7 +9,7 @@ from evetac_cli.jobs import Outcome, Progress, require_possible_name, silent
 from evetac_cli.pages import shared
 from evetac_cli.pages.report.figures import matched
 from evetac_cli.pages.report.page import render
-from evetac_cli.pages.report.study import read_study, remark, tell_sensors_apart
+from evetac_cli.pages.report.study import name_sensors, read_study, remark
 from evetac_cli.store.hdf5.disk import check_free
 
 
@@ -30,7 +30,7 @@ def run(
     if len({study.name for study in studies}) < len(studies):
         for study in studies:
             study.name = str(study.folder)
-    tell_sensors_apart(studies)
+    name_sensors(studies)
     content = render(studies, target)
     shared.write_page(target, content, force=force)
     row: dict[str, Any] = {

@@ -40,7 +40,7 @@ class Section:
 
     name: str
     title: str
-    says: str
+    caption: str
 
 
 SECTIONS = (
@@ -335,7 +335,7 @@ SUBJECTS = (
     Subject(
         "evaluate likeness",
         "Facts with figures",
-        lambda found: [row for row in having("fact", "public")(found) if row["not_told"] is None],
+        lambda found: [row for row in having("fact", "public")(found) if row["not_measured"] is None],
         ("counts", "fact", "public", "simulated", "simulated_from", "compared", "real", "unit", "class"),
     ),
     Subject(

@@ -110,7 +110,7 @@ def _section(section: Section, studies: Sequence[Study]) -> str:
         # A subject without columns shows all columns of a report, which differ between reports.
         for some in [of_reports] if subject.columns else [[one] for one in of_reports]:
             text += _subject(subject, some, several)
-    return f"<p class='hint'>{html.escape(section.says)}</p>{text}" if text else ""
+    return f"<p class='hint'>{html.escape(section.caption)}</p>{text}" if text else ""
 
 
 def _subject(subject: Subject, of_reports: Sequence[tuple[Study, Found]], several: bool) -> str:

@@ -187,7 +187,7 @@ def read_study(folder: Path, progress: Progress) -> Study:
     return study
 
 
-def tell_sensors_apart(studies: Sequence[Study]) -> None:
+def name_sensors(studies: Sequence[Study]) -> None:
     """Name the sensors of all trials as `evaluate slip --by sensor` does: different ones never have the same name."""
     trials = [trial for study in studies for trial in study.trials if trial.sensor != UNKNOWN_SENSOR]
     for trial, name in zip(trials, sensor_names([trial.sensor for trial in trials]), strict=True):

@@ -251,8 +251,8 @@ def _charts(view: ViewData) -> tuple[str, str, str]:
             for at, line in enumerate(panel.lines)
         )
         keys += "".join(f"<span class='key level'>{name} {value:.3g}</span>" for name, value in panel.levels.items())
-        says = f"<p class='hint'>{html.escape(panel.says)}</p>" if panel.says else ""
-        texts.append((_head(panel.title, panel.unit, panel.simulated, keys), says))
+        caption = f"<p class='hint'>{html.escape(panel.caption)}</p>" if panel.caption else ""
+        texts.append((_head(panel.title, panel.unit, panel.simulated, keys), caption))
         figures.append(_panel_figure(panel, x_range, number, height))
         number += len(panel.lines)
     for title, lanes in (("Slip", view.lanes), ("Phase of the grasp", view.phases)):
@@ -262,8 +262,8 @@ def _charts(view: ViewData) -> tuple[str, str, str]:
             figures.append(_lane_figure(lanes, x_range))
     script, places = components(tuple(figures), theme=Theme(json={"attrs": LOOKS}))
     charts = "".join(
-        f"<section class='chart'>{head}{place}{says}</section>"
-        for (head, says), place in zip(texts, places, strict=True)
+        f"<section class='chart'>{head}{place}{caption}</section>"
+        for (head, caption), place in zip(texts, places, strict=True)
     )
     return script, Resources(mode="inline", components=["bokeh"]).render_js(), charts
 

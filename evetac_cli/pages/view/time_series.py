@@ -211,17 +211,17 @@ def _flow(labels: StageFile, span: tuple[int, int]) -> Panel:
     parameters = labels.header["parameters"]
     method = parameters.get("method")
     title = "Flow that labels slip" + (f", {method}" if isinstance(method, str) else "")
-    name, limit, says = LIMITS.get(method if isinstance(method, str) else "farneback", ("", "", ""))
+    name, limit, caption = LIMITS.get(method if isinstance(method, str) else "farneback", ("", "", ""))
     level = parameters.get(limit)
     if not isinstance(level, (int, float)):
         return Panel(title, "px", lines, logarithmic=True)
     ends = LEAST_FLOW_PX, max(MOST_FLOW_PX, 3 * level)
-    says = f"Motion of the {says} more than {level:g} px is slip."
+    caption = f"Motion of the {caption} more than {level:g} px is slip."
     if any(line.name == "not examined" for line in lines):
-        says += " Grey: not examined."
+        caption += " Grey: not examined."
     if any(np.nanmax(line.value) > ends[1] for line in lines):
-        says += f" Not drawn beyond {ends[1]:g} px: once the object is lost, the flow soon has no meaning."
-    return Panel(title, "px", lines, {name: level}, logarithmic=True, ends=ends, says=says)
+        caption += f" Not drawn beyond {ends[1]:g} px: once the object is lost, the flow soon has no meaning."
+    return Panel(title, "px", lines, {name: level}, logarithmic=True, ends=ends, caption=caption)
 
 
 def timed(recording: Recording, path: str, span: tuple[int, int]) -> tuple[NDArray[np.float64], int, int]:

@@ -32,9 +32,9 @@ def touch_panels(touch: StageFile, span: tuple[int, int]) -> list[Panel]:
     def less_sure(name: str) -> Read:  # larger deviation of the two axes
         return lambda first, last: touch.read(name, start + first, start + last).max(axis=1, keepdims=True)
 
-    def panel(title: str, unit: str, says: str, *lines: tuple[str, str, Read, Read], **more: Any) -> Panel:
+    def panel(title: str, unit: str, caption: str, *lines: tuple[str, str, Read, Read], **more: Any) -> Panel:
         series = [one for name, colour, value, sd in lines for one in decimated({name: colour}, t_s, value, {name: sd})]
-        return Panel(title, unit, series, says=says, **more)
+        return Panel(title, unit, series, caption=caption, **more)
 
     def rows(name: str) -> Read:
         return rows_of(touch, name, start)

@@ -39,7 +39,7 @@ class Panel:
     simulated: bool = False
     logarithmic: bool = False
     ends: tuple[float, float] | None = None  # of the axis, if values beyond have no meaning; else fitted to the values
-    says: str = ""  # explanation, if title and unit are not enough
+    caption: str = ""  # explanation, if title and unit are not enough
     marks: bool = False  # separate points, if a line between them would have no meaning
 
 

@@ -47,7 +47,7 @@ from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2, nodes_of_slip, slip_l
 from evetac_cli.sim.setup import sampling
 from evetac_cli.sim.setup.held import HandSettings, SecondFingerSettings
 from evetac_cli.sim.setup.object_file import TouchedObject, seed_of
-from evetac_cli.sim.setup.plan import SECOND, Called, Plan
+from evetac_cli.sim.setup.plan import SECOND, ObjectName, Plan
 from evetac_cli.sim.setup.sensor import Sensor
 
 FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, from fingers, links and mounts; fitted to the paper's two bottles
@@ -77,24 +77,24 @@ class GraspSimulation:
 
         second_optics_rng: for the camera of the second finger, if the plan has one.
         """
-        assert plan.touched is not None
+        assert plan.object is not None
         self._scene = plan.scene
         self._time = self._scene.time
         self._kind = self._scene.kind
         self._drop = self._scene.drop
         self._solver = self._scene.solver
-        touched, sensor = plan.touched, sampling.sensor_with_gel(self._scene, plan.sensor)
-        self.sampled = sampling.sample_trial(self._scene, touched, sensor, mechanics, plan.called)
+        object, sensor = plan.object, sampling.sensor_with_gel(self._scene, plan.sensor)
+        self.sampled = sampling.sample_trial(self._scene, object, sensor, mechanics, plan.object_name)
         # each part has its own stream, and draws from it only if a scene names the part
         hand_rng, self._encoder_rng, commands_rng = mechanics.spawn(3)
         self._down = 1 if self._scene.gel.sideways else 0
-        texture = self._texture(plan.called, optics_rng)
+        texture = self._texture(plan.object_name, optics_rng)
         self._shows_texture = texture is not None
         self.gel_camera = GelCamera(sensor, scene=self._scene, texture=texture, rng=optics_rng)
         self._step_finger = timer("gripper", gripper.step)
         self._faults = sampling.gripper_faults(self._scene, sensor)
         self._second_sensor = None if plan.second is None else sampling.sensor_with_gel(self._scene, plan.second.sensor)
-        self._build_mechanics(touched, sensor, timer)
+        self._build_mechanics(object, sensor, timer)
         self.second_view = self._build_second_view(plan, second_optics_rng, timer)
         self.second_events: Events | None = None  # of the last slice
         self._encoder_noise_ticks = self._faults.encoder_noise_ticks
@@ -148,12 +148,12 @@ class GraspSimulation:
         if self._second_sensor is None:
             return None
         assert rng is not None
-        texture = self._texture(plan.called, rng, SECOND)
+        texture = self._texture(plan.object_name, rng, SECOND)
         scene = self._scene
         camera = GelCamera(self._second_sensor, scene=scene, texture=texture, rng=rng)
         return GelView(camera, self._pads[-1], self._solver.camera_substeps, timer, second=True)
 
-    def _texture(self, called: Called, rng: np.random.Generator, *side: int) -> NDArray[np.float32] | None:
+    def _texture(self, object_name: ObjectName, rng: np.random.Generator, *side: int) -> NDArray[np.float32] | None:
         """Return the texture in the window; None if the scene has no texture, does not show it, or has no window."""
         if self._scene.texture is None or not self._scene.gel.cut:
             return None
@@ -161,18 +161,18 @@ class GraspSimulation:
             # the texture's position, drawn anyway so that the gel's events are those of a trial with texture
             rng.uniform(0, TEXTURE_PX[0], 2)
             return None
-        texture_rng = np.random.default_rng([TEXTURE_SEED, seed_of(called), *side])
+        texture_rng = np.random.default_rng([TEXTURE_SEED, seed_of(object_name), *side])
         return optics.texture(
             texture_rng, TEXTURE_PX, self.sampled.texture_half_correlation_px, self.sampled.texture_log_sd
         )
 
-    def _build_mechanics(self, touched: TouchedObject, sensor: Sensor, timer: Timer) -> None:
+    def _build_mechanics(self, object: TouchedObject, sensor: Sensor, timer: Timer) -> None:
         nodes = pad(self._solver, sensor, cut=self._scene.gel.cut)
         sampled = self.sampled
-        width_m = touched.held_mm * 1e-3
+        width_m = object.held_mm * 1e-3
         upright = nodes if self._down == 0 else np.ascontiguousarray(nodes[..., ::-1])
-        radius_m = touched.width_mm * 0.5e-3
-        self._gaps = contact.gap_profile(upright - sampled.touch_m, touched.shape, radius_m, sampled.tilt_rad)
+        radius_m = object.width_mm * 0.5e-3
+        self._gaps = contact.gap_profile(upright - sampled.touch_m, object.shape, radius_m, sampled.tilt_rad)
         self._material = material(sensor)
         second = self._scene.gripper.second_finger
         if second is None and self._second_sensor is not None:
@@ -208,7 +208,7 @@ class GraspSimulation:
             away = APPROACH_TICKS if self._kind == "lift" else -self._scene.gripper.open_ticks
             self.finger = gripper.start(self.drive, self._curve, touch_ticks, away)
             self.command = ("position", self.finger.position_ticks)
-        height_m = touched.height_mm * 1e-3
+        height_m = object.height_mm * 1e-3
         inertia = sampled.mass_kg * (height_m**2 + width_m**2) / 12
         along, across = sampled.touch_m[0], sampled.touch_m[1] + sampled.lever_m
         middle_m = (along, across) if self._down == 0 else (across, along)

@@ -73,7 +73,7 @@ class Pressing:
         timer: Timer = untimed,
     ) -> None:
         """Build the parts that a plan names. The camera sees the face's outline, if there is one."""
-        assert plan.touched is not None
+        assert plan.object is not None
         self._scene = plan.scene
         sensor = sensor_with_gel(self._scene, plan.sensor)
         solver = self._scene.solver
@@ -85,7 +85,7 @@ class Pressing:
             outline=outline,
             outline_at_px=outline_at_px,
         )
-        self.sampled = sample_trial(self._scene, plan.touched, sensor, mechanics)
+        self.sampled = sample_trial(self._scene, plan.object, sensor, mechanics)
         nodes = pad(solver, sensor, cut=self._scene.gel.cut)
         self._material = material(sensor)
         self._stiffness_n_m3 = sensor.normal_modulus_pa / self._material.height_m

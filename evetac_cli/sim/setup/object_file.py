@@ -72,7 +72,7 @@ class ObjectFile(TouchedObject):
     static_friction: Annotated[float, Meta(ge=0, le=5)]
 
     @property
-    def touched(self) -> TouchedObject:
+    def object(self) -> TouchedObject:
         """Return the object without the keys of the file."""
         return TouchedObject(**{item.name: getattr(self, item.name) for item in fields(TouchedObject)})
 
@@ -115,9 +115,9 @@ def read(path: Path) -> tuple[str, TouchedObject]:
 
 def of_keys(table: Mapping[str, Any], where: str, needed: tuple[str, ...] = ()) -> TouchedObject:
     """Check the keys of an object and return the object; `needed` are required in addition to the usual keys."""
-    return read_table(ObjectFile, table, where, needed=needed).touched
+    return read_table(ObjectFile, table, where, needed=needed).object
 
 
-def seed_of(called: int | str | None) -> int:
+def seed_of(object_name: int | str | None) -> int:
     """Return the seed of an object's random numbers: its number in the table, or a checksum of its name."""
-    return zlib.crc32(called.encode()) if isinstance(called, str) else called or 0
+    return zlib.crc32(object_name.encode()) if isinstance(object_name, str) else object_name or 0

@@ -33,12 +33,12 @@ HIGHEST_TONE_HZ = 2500.0  # half the scan rate of the camera
 SECOND_SENSOR, SECOND_ROW = "second_sensor", "second_sensor_row"  # header keys of a grasp with two cameras
 SECOND = 1  # with the seeds of a trial: seeds the sampling of the second finger's sensor
 
-Called = int | str | None  # an object's number or name; None if the scene has no object
+ObjectName = int | str | None  # an object's number or name; None if the scene has no object
 # Header keys that describe the plan of a simulated recording, besides those of its sensor.
 OF_HEADER: dict[str, Any] = {
     "scene": dict,
     "sensor": str,
-    "object": Called,
+    "object": ObjectName,
     "object_row": dict | None,
     "tone_hz": float | None,
     "sensor_ranges": dict | None,
@@ -66,8 +66,8 @@ class Plan:
     scene: Scene
     sensor_name: str
     sensor: Sensor
-    called: Called = None
-    touched: TouchedObject | None = None
+    object_name: ObjectName = None
+    object: TouchedObject | None = None
     tone_hz: float | None = None
     sensor_ranges: SensorRanges | None = None
     second: "NamedSensor | None" = None
@@ -79,10 +79,10 @@ class Plan:
             "sensor": self.sensor_name,
             "sensor_row": as_table(self.sensor),
             "readout": READOUT,
-            "object": self.called,
+            "object": self.object_name,
         }
-        if self.touched is not None:
-            values["object_row"] = as_table(self.touched)
+        if self.object is not None:
+            values["object_row"] = as_table(self.object)
         if self.tone_hz is not None:
             values["tone_hz"] = self.tone_hz
         if self.sensor_ranges is not None:
@@ -131,7 +131,7 @@ def read_sensor(parameters: Mapping[str, Any], where: str) -> Sensor:
 
 
 @dataclass(frozen=True)
-class Plans:
+class PlanTemplate:
     """The plans of all trials with one object or tone.
 
     sensor: one sensor, or the ranges from which each trial samples a sensor.
@@ -142,8 +142,8 @@ class Plans:
     scene: Scene
     sensor_name: str
     sensor: Sensor | SensorRanges
-    called: Called = None
-    touched: TouchedObject | None = None
+    object_name: ObjectName = None
+    object: TouchedObject | None = None
     tone_hz: float | None = None
     second: tuple[str, Sensor | SensorRanges] | None = None
 
@@ -159,7 +159,7 @@ class Plans:
             if not isinstance(other, Sensor):
                 other = sampling.sample_sensor(other, np.random.default_rng([SENSOR_SEED, *seeds, SECOND]))
             second = NamedSensor(name, other)
-        of_scene = (self.scene, self.sensor_name, sensor, self.called, self.touched, self.tone_hz)
+        of_scene = (self.scene, self.sensor_name, sensor, self.object_name, self.object, self.tone_hz)
         return Plan(*of_scene, ranges, second)
 
 
@@ -174,7 +174,7 @@ def plans(
     *,
     texture: str | None = None,
     second: str | None = None,
-) -> list[Plans]:
+) -> list[PlanTemplate]:
     """Return the plans of trials, one per object or tone (a single one if the scene has neither).
 
     `second` names the sensor of a second finger that also has a camera. `gel` (cut or closed), `texture` (on or off)
@@ -195,16 +195,18 @@ def plans(
         picked = scene.tone.frequency_hz if tones is None else tones_hz(tones)
         # A recording depends only on its own tone, not on the scene's other tones.
         alone = [replace(scene, tone=replace(scene.tone, frequency_hz=(tone,))) for tone in picked]
-        return [Plans(one, *seen_by, tone_hz=tone) for one, tone in zip(alone, picked, strict=True)]
+        return [PlanTemplate(one, *seen_by, tone_hz=tone) for one, tone in zip(alone, picked, strict=True)]
     if second is not None and not scene.is_gripped:
         raise InputError("this scene has no second finger", where="--camera", expected="one camera", found=scene_name)
     if tones is not None:
         raise InputError("this scene has no tones", where="--tone", expected="--scene vibration", found=scene_name)
     driven = scene.face or scene.rub
     if driven is not None:
-        return [Plans(scene, *seen_by, touched=TouchedObject(shape="flat", static_friction=driven.static_friction))]
+        surface = TouchedObject(shape="flat", static_friction=driven.static_friction)
+        return [PlanTemplate(scene, *seen_by, object=surface)]
     seen = None if second is None else named_sensor(second)
-    return [Plans(scene, *seen_by, called, touched, second=seen) for called, touched in named_objects(objects).items()]
+    named = named_objects(objects).items()
+    return [PlanTemplate(scene, *seen_by, name, object, second=seen) for name, object in named]
 
 
 def first_plan(scene_name: str, objects: str = "8", sensor: str = "evetac", **more: Any) -> Plan:
@@ -235,12 +237,12 @@ def named_objects(text: str) -> dict[int | str, TouchedObject]:
         if file is None:
             listed |= {number: object_file.of_number(number) for number in numbers(part)}
             continue
-        called, touched = object_file.read(file)
-        called = called if part.endswith(object_file.SUFFIX) else part
-        if called in listed:
+        object_name, object = object_file.read(file)
+        object_name = object_name if part.endswith(object_file.SUFFIX) else part
+        if object_name in listed:
             expected = "a different `name` in each file"
-            raise InputError("two objects have the same name", where=part, expected=expected, found=called)
-        listed[called] = touched
+            raise InputError("two objects have the same name", where=part, expected=expected, found=object_name)
+        listed[object_name] = object
     return listed
 
 

@@ -45,7 +45,7 @@ class SampledTrial:
 
 
 def sample_trial(
-    scene: Scene, touched: TouchedObject, sensor: Sensor, rng: np.random.Generator, called: int | str | None = None
+    scene: Scene, object: TouchedObject, sensor: Sensor, rng: np.random.Generator, object_name: int | str | None = None
 ) -> SampledTrial:
     """Sample a trial's parameters, always in the same order, so that a scene's keys do not shift other values.
 
@@ -60,17 +60,17 @@ def sample_trial(
     def draw(ends: tuple[float, float]) -> float:
         return float(rng.uniform(*ends))
 
-    static = sensor.static_friction_factor * touched.static_friction * draw(varied.static_friction)
+    static = sensor.static_friction_factor * object.static_friction * draw(varied.static_friction)
     tilt_deg = draw(varied.tilt_deg)
-    if touched.tilt_deg is not None:  # the shape itself is slanted, so the misalignment of a finger hardly matters
-        tilt_deg = draw(touched.tilt_deg)
-    mass_g = touched.mass_g if scene.object is None else scene.object.mass_g
+    if object.tilt_deg is not None:  # the shape itself is slanted, so the misalignment of a finger hardly matters
+        tilt_deg = draw(object.tilt_deg)
+    mass_g = object.mass_g if scene.object is None else scene.object.mass_g
     mass_kg = mass_g * 1e-3 * draw(varied.mass)
     kinetic_share = draw(varied.kinetic_share)
-    spread, of_gel, of_object = varied.kinetic_share_spread, own_friction.kinetic_share, touched.kinetic_share
+    spread, of_gel, of_object = varied.kinetic_share_spread, own_friction.kinetic_share, object.kinetic_share
     off_share = placement.uniform(-1, 1) * (spread or 0.0)
-    if spread is not None and called is not None:
-        own = np.random.default_rng([OBJECT_SEED, seed_of(called)]).uniform(*varied.kinetic_share)
+    if spread is not None and object_name is not None:
+        own = np.random.default_rng([OBJECT_SEED, seed_of(object_name)]).uniform(*varied.kinetic_share)
         if (
             of_gel is not None and of_object is None
         ):  # objects differ on this gel as on any other, about the gel's own ratio
@@ -84,9 +84,9 @@ def sample_trial(
     pressure_exponent = float(of_pressure.uniform(*varied.pressure_exponent))
     touch_m = placement.uniform(-1e-3, 1e-3, 2) * varied.touch_mm
     lever_m = float(placement.normal()) * varied.lever_mm * 1e-3
-    if touched.shape != "flat":
+    if object.shape != "flat":
         lever_m = 0.0  # the weight of a round object acts on its axis, and it is touched there
-    lever_m += touched.lever_mm * 1e-3
+    lever_m += object.lever_mm * 1e-3
     slowest, fastest = scene.gripper.fall_factor
     return SampledTrial(
         mass_kg=mass_kg,

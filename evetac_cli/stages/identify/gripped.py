@@ -240,11 +240,11 @@ def _loading(place_px: NDArray[np.float32]) -> tuple[int, int, int]:
         raise ValueError("no weight is applied")
     first = max(middle - AROUND_MS // 2, 0)
     path = (mean_px[first : first + 3 * AROUND_MS, axis] - smooth[middle, axis]) / rises
-    came = int(np.argmax(path > 0.03))
-    full = came + int(np.argmax(path[came:] > 0.95))
-    if first + came < 210 or full <= came:
+    begin = int(np.argmax(path > 0.03))
+    full = begin + int(np.argmax(path[begin:] > 0.95))
+    if first + begin < 210 or full <= begin:
         raise ValueError("the weight was applied before the hold began")
-    return (axis + 1) * (1 if rises > 0 else -1), first + came, max(round((full - came) / 0.92), 1)
+    return (axis + 1) * (1 if rises > 0 else -1), first + begin, max(round((full - begin) / 0.92), 1)
 
 
 def _seen_motion(recording: Recording, place_px: NDArray[np.float32], first: int, stop: int) -> Floats:

@@ -153,7 +153,7 @@ class Press:
         return int(np.isfinite(self.dot_xy_px[..., 0]).sum())
 
     @property
-    def told_lens_k1(self) -> Estimate | None:
+    def informative_lens_k1(self) -> Estimate | None:
         """The lens, if its interval is narrow enough to be informative."""
         k1 = self.lens_k1
         return k1 if k1 is not None and k1.high - k1.low <= WIDEST_LENS else None
@@ -288,7 +288,7 @@ def rows(press: Press | None, like: Sensor, why_none: str = "") -> tuple[list[Es
         (optics.dot_radius_spread, ""),
         (optics.dot_contrast_spread, ""),
         (optics.edge_sigma_px, ""),
-        (press.told_lens_k1, OTHER_GRID if press.lens_k1 is None else UNEVEN),
+        (press.informative_lens_k1, OTHER_GRID if press.lens_k1 is None else UNEVEN),
         (optics.contrast_over_threshold, ""),
         (press.off_over_on, MAKE_LONGER),
         (press.mismatch, MAKE_LONGER),
@@ -335,7 +335,7 @@ def _entries(press: Press, log_contrast: float, half_px: float | None) -> dict[s
         values["threshold_off"] = Entry(off.value, off, f"{source}, for this threshold")
     if press.mismatch is not None:
         values["mismatch"] = Entry(press.mismatch.value, press.mismatch, source)
-    k1 = press.told_lens_k1
+    k1 = press.informative_lens_k1
     is_curved = k1 is not None and not k1.low <= 0.0 <= k1.high
     if k1 is not None and is_curved:
         values["distortion"] = Entry(np.array([k1.value, 0.0]), k1, f"k1; {source}")

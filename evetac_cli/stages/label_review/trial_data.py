@@ -15,7 +15,7 @@ from evetac_cli.kernels.tracking.presets import PRESETS
 from evetac_cli.stages.label_methods import compute
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.recordings.onset import LabelledOnset, labelled_onset, told_onset
+from evetac_cli.store.recordings.onset import LabelledOnset, labelled_onset, onset_of_values
 from evetac_cli.store.recordings.read import Recording, ramp_start
 
 BEFORE_MS, AFTER_MS = 250, 150  # time shown before and after the chosen slice
@@ -40,7 +40,7 @@ def onset_now(recording: Recording, labels: Path) -> tuple[LabelledOnset, dict[s
     computed = by_flow(recording)
     if computed is None:
         return LabelledOnset(None, None, None, None, ""), {"method": None, "kept": False}
-    onset = told_onset(computed.onset, computed.earliest, computed.latest, computed.confidence, computed.doubt)
+    onset = onset_of_values(computed.onset, computed.earliest, computed.latest, computed.confidence, computed.doubt)
     return onset, {"method": "event-flow", "kept": False}
 
 

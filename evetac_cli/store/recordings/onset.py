@@ -43,7 +43,7 @@ class LabelledOnset(NamedTuple):
         return f"The labels abstain: {self.doubt}." if self.doubt else ""
 
 
-def told_onset(onset: int, earliest: int, latest: int, confidence: float, doubt: str) -> LabelledOnset:
+def onset_of_values(onset: int, earliest: int, latest: int, confidence: float, doubt: str) -> LabelledOnset:
     """Return the onset from the values in labels, where -1 and NaN mean none."""
     first, last = (None if value < 0 else value for value in (earliest, latest))
     sure = confidence if np.isfinite(confidence) else None
@@ -56,7 +56,7 @@ def labelled_onset(labels: StageFile) -> LabelledOnset:
         int(labels.read(name)) if labels.has(name) else -1 for name in ("earliest_slice", "latest_slice")
     )
     doubt = str(labels.read("doubt")) if labels.has("doubt") else ""
-    return told_onset(int(labels.read("onset_slice")), earliest, latest, float(labels.read("confidence")), doubt)
+    return onset_of_values(int(labels.read("onset_slice")), earliest, latest, float(labels.read("confidence")), doubt)
 
 
 def in_short(doubts: Iterable[str]) -> str:

@@ -91,7 +91,7 @@ class RecordingWriter:
         """Create and lock the folder; the lock distinguishes a recording in progress from an interrupted one."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            _refuse_strange(self.folder)
+            _refuse_unexpected(self.folder)
             self._lock = locked_part(self.folder)  # held until finish() or discard()
         except (FileExistsError, NotADirectoryError):
             raise InputError("the output folder is a file", where=str(self.folder)) from None
@@ -331,14 +331,14 @@ def _float_of_every_slice(parts: Sequence[Path | int]) -> dict[str, tuple[Any, t
     }
 
 
-def strange_entries(folder: Path) -> list[str]:
+def unexpected_entries(folder: Path) -> list[str]:
     """Return the names of entries that were not written by a recorder."""
     return sorted(path.name for path in folder.iterdir() if not OWN.fullmatch(path.name) or not _is_file(path))
 
 
-def _refuse_strange(folder: Path) -> None:
+def _refuse_unexpected(folder: Path) -> None:
     """Raise InputError if a folder has anything that was not written by a recorder."""
-    if names := strange_entries(folder):
+    if names := unexpected_entries(folder):
         hint = "move it away, or use another name with -o"
         raise InputError("this folder is not from a recording", where=str(folder), found=", ".join(names), hint=hint)
 
@@ -353,11 +353,11 @@ def remove_parts(folder: Path, *, keep: str = "") -> list[str]:
             if path.name != keep and OWN.fullmatch(path.name) and _is_file(path):
                 with suppress(OSError):
                     path.unlink()
-        left = [name for name in strange_entries(folder) if name != keep]
+        left = [name for name in unexpected_entries(folder) if name != keep]
         if not keep:
             folder.rmdir()
         return left
-    return strange_entries(folder) if folder.is_dir() else []
+    return unexpected_entries(folder) if folder.is_dir() else []
 
 
 def _is_file(path: Path) -> bool:

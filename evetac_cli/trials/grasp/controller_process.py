@@ -145,7 +145,7 @@ class Watch:
                 return f"{DETECTOR}{of} died", each.at_us
             for what, alive_us, most_us in (
                 (f"{DETECTOR}{of} hangs: no sign of life", each.at_us, self._fresh_us),
-                (f"the camera{of} is silent: not a single event", each.heard_us, self._fresh_us),
+                (f"the camera{of} is silent: not a single event", each.last_event_us, self._fresh_us),
             ):
                 if self._is_silent(alive_us, most_us, now_us):
                     return f"{what} for {(now_us - alive_us) * 1e-3:.0f} ms", alive_us

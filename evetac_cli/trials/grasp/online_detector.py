@@ -95,10 +95,10 @@ class OnlineSlipDetector:
         tracker.mean_displacement_px(tracking.record)  # compiles or loads it now instead of in the first slice
         started = cls(live, alarms.start(chosen_threshold(model)))
         if "sticking" in detector.learned_extras:
-            started.tell_what_sticks()
+            started.measure_sticking()
         return started
 
-    def tell_what_sticks(self) -> None:
+    def measure_sticking(self) -> None:
         """Enable the sticking share of the contact for the signal and the network; call before the first slice."""
         tracking = self.tracking
         self.sticking, first = (StickingShare(tracking.rest_xy_px, tracking.record["frame_px"][0]) for _ in range(2))
@@ -181,7 +181,7 @@ def open_detector(
     )
     detector.threshold = chosen_threshold(model) if threshold is None else threshold
     if sticking:
-        detector.tell_what_sticks()
+        detector.measure_sticking()
     return detector
 
 

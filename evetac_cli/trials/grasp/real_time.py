@@ -194,15 +194,15 @@ def run(
     if is_hardware and desk is None:
         session.wait_for_object(trial)
     with ExitStack() as opened:
-        came = opened.enter_context(interrupts.signals_interrupt())
+        received = opened.enter_context(interrupts.signals_interrupt())
         view = opened.enter_context(live_view.opened(trial, f"grasp {trial.output.name}", moves=True))
         durations = {"lift_s": settings.lift_s, "balance_s": settings.balance_s}
         world, servo = open_peers(
-            cameras[0], gripper, trial.plan, seeds, opened, armed=trial.armed, tells_truth=True, **durations
+            cameras[0], gripper, trial.plan, seeds, opened, armed=trial.armed, sends_truth=True, **durations
         )
-        signals = opened.enter_context(interrupts.signals_counted(came))  # until here Ctrl-C aborts
+        signals = opened.enter_context(interrupts.signals_counted(received))  # until here Ctrl-C aborts
         if desk is not None:
-            opened.callback(desk.signals_came, signals)
+            opened.callback(desk.record_signals, signals)
         sensors = [_sensor(trial, world, finger) for finger in range(len(cameras))]
         parents = (*settings.parents(), *(header for camera in cameras for header in camera.parents()))
         detectors = [
@@ -247,7 +247,7 @@ def run(
                 console.say(f"{gripper} moves now; {FALLS}")
             key = opened.enter_context(session.gripper_key(moves=not signals))
         try:
-            if not signals and (desk is None or not desk.called_off):
+            if not signals and (desk is None or not desk.end_reason):
                 processes.go()
             recorded = record(
                 *(processes, world, writers, timing.end_ms, signals, key),

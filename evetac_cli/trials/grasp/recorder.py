@@ -171,7 +171,7 @@ def _asked_to_end(desk: "Desk", recorded: RecordedGrasp, received: int, processe
     received: number of received slices, some of which may wait to be written.
     """
     if not recorded.slices:
-        return desk.called_off
+        return desk.end_reason
     return desk.recorded(received, processes.now_s, recorded.zero_us, patience_s=STOP_S)
 
 

@@ -135,8 +135,8 @@ def _one(trial: DeviceTrial, desk: Desk, record: Callable[[Any, Desk], Outcome])
     finally:
         rows = [] if outcome is None else outcome.rows
         file = str(Path(rows[0]["output"]).resolve()) if rows else None
-        called_off = desk.called_off or ABORTED
-        ended = str(rows[0]["ended"]) if rows else called_off if error is None else "nothing was recorded"
+        end_reason = desk.end_reason or ABORTED
+        ended = str(rows[0]["ended"]) if rows else end_reason if error is None else "nothing was recorded"
         slices = int(rows[0]["slices"]) if rows else 0
         words = _in_one_line(error) if isinstance(error, EvetacError) or (error and not rows) else ""
         desk.ended(file, ended, slices, words)

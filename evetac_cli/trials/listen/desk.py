@@ -68,7 +68,7 @@ class Desk:
 
     def ask(self, request: Mapping[str, Any]) -> "Future[Answer]":
         """Return the answer to a request: at once, or when a trial has started or its file is complete."""
-        came_s = time.monotonic()
+        received_s = time.monotonic()
         answered: Future[Answer] = Future()
         answered.set_running_or_notify_cancel()  # from here it cannot be cancelled
         try:
@@ -76,17 +76,17 @@ class Desk:
             if not isinstance(command, str) or command not in COMMANDS:
                 raise Refusal(f"no such command: expected {', '.join(COMMANDS)}")
             fields = COMMANDS[command]
-            strange = request.keys() - {"token", "command", *fields}
-            if strange:
-                raise Refusal(f"{command} has no {min(strange)!r}: expected {' and '.join(fields) or 'nothing more'}")
+            extra = request.keys() - {"token", "command", *fields}
+            if extra:
+                raise Refusal(f"{command} has no {min(extra)!r}: expected {' and '.join(fields) or 'nothing more'}")
             with self._lock:
-                getattr(self, f"_{command}")(request, came_s, answered)
+                getattr(self, f"_{command}")(request, received_s, answered)
         except Refusal as refusal:
             with self._lock:
                 answered.set_result(self._answer(ok=False, error=str(refusal)))
         return answered
 
-    def _start(self, request: Mapping[str, Any], came_s: float, answered: "Future[Answer]") -> None:
+    def _start(self, request: Mapping[str, Any], received_s: float, answered: "Future[Answer]") -> None:
         name = request.get("name")
         if not isinstance(name, str) or not NAME.fullmatch(name) or name.endswith(".h5"):
             expected = "1 to 100 letters, digits, dots, _ and -, the first a letter or digit; no folder, no .h5"
@@ -100,16 +100,16 @@ class Desk:
         self._starting.append(answered)
         self._lock.notify_all()
 
-    def _mark(self, request: Mapping[str, Any], came_s: float, answered: "Future[Answer]") -> None:
-        text, at_s = request.get("text"), request.get("at_s", came_s)
+    def _mark(self, request: Mapping[str, Any], received_s: float, answered: "Future[Answer]") -> None:
+        text, at_s = request.get("text"), request.get("at_s", received_s)
         if not isinstance(text, str) or not text.isprintable() or not 0 < len(text.encode()) <= streams.MOST_MARK_BYTES:
             raise Refusal(f"not a mark: expected a text of 1 to {streams.MOST_MARK_BYTES} bytes without line ends")
         if isinstance(at_s, bool) or not isinstance(at_s, int | float):
             raise Refusal("not a time: expected at_s in s, by the monotonic clock of this computer")
         if self._state is not State.RECORDING or self._why:
             raise Refusal(NOTHING)
-        t_us = self._time_us(came_s, at_s)
-        if at_s > came_s + EARLY_S or t_us < 0:
+        t_us = self._time_us(received_s, at_s)
+        if at_s > received_s + EARLY_S or t_us < 0:
             raise Refusal("the time of the mark is outside this trial: expected at_s by the monotonic clock")
         if t_us < self._latest_us - 1e6 * EARLY_S:
             raise Refusal(f"the previous mark is at {self._latest_us * 1e-6:.3f} s, this one at {t_us * 1e-6:.3f} s")
@@ -117,38 +117,38 @@ class Desk:
         self._marks.append((self._latest_us, text))
         answered.set_result(self._answer(slice=self._latest_us // SLICE_US, t_us=self._latest_us))
 
-    def _stop(self, request: Mapping[str, Any], came_s: float, answered: "Future[Answer]") -> None:
+    def _stop(self, request: Mapping[str, Any], received_s: float, answered: "Future[Answer]") -> None:
         if self._state is State.IDLE:
             if self._last is None:
                 raise Refusal(NOTHING)
             answered.set_result(self._answer(**self._last))
             return
-        self._end(STOPPED, came_s)
+        self._end(STOPPED, received_s)
         self._ending.append(answered)
 
-    def _abort(self, request: Mapping[str, Any], came_s: float, answered: "Future[Answer]") -> None:
+    def _abort(self, request: Mapping[str, Any], received_s: float, answered: "Future[Answer]") -> None:
         if self._state is State.IDLE:
             raise Refusal(NOTHING)
         if self._state is State.SAVING:
             raise Refusal(f"too late: {self._name} is being saved")
-        self._end(ABORTED, came_s)
+        self._end(ABORTED, received_s)
         self._ending.append(answered)
 
-    def _status(self, request: Mapping[str, Any], came_s: float, answered: "Future[Answer]") -> None:
+    def _status(self, request: Mapping[str, Any], received_s: float, answered: "Future[Answer]") -> None:
         answered.set_result(self._answer())
 
-    def _end(self, why: str, came_s: float) -> None:
+    def _end(self, why: str, received_s: float) -> None:
         """End the trial once the present slice is recorded."""
         if self._why and why != ABORTED:
             return
         self._why = why
-        t_us = self._time_us(came_s, came_s)
+        t_us = self._time_us(received_s, received_s)
         self._end_slices = 0 if why == ABORTED or math.isnan(self._zero_us) else int(t_us) // SLICE_US + 1
-        self._stopped_s = came_s
+        self._stopped_s = received_s
 
-    def _time_us(self, came_s: float, at_s: float) -> float:
-        """Return the recording's time of an instant on the monotonic clock; came_s: when the request arrived."""
-        t_us = 1e6 * (min(at_s, came_s) + self._ahead_s()) - self._zero_us
+    def _time_us(self, received_s: float, at_s: float) -> float:
+        """Return the recording's time of an instant on the monotonic clock; received_s: when the request arrived."""
+        t_us = 1e6 * (min(at_s, received_s) + self._ahead_s()) - self._zero_us
         return float(SLICE_US * self._slices) if math.isnan(t_us) else t_us
 
     def _ahead_s(self) -> float:
@@ -171,7 +171,7 @@ class Desk:
             return self._name if self._state is State.STARTING else ""
 
     @property
-    def called_off(self) -> str:
+    def end_reason(self) -> str:
         """Why the trial should end, or not start; "" if neither."""
         with self._lock:
             return self._why
@@ -181,7 +181,7 @@ class Desk:
         """Whether Ctrl-C or a similar signal came during a trial, so that no other may start."""
         return self._interrupted
 
-    def signals_came(self, signals: Sequence[int]) -> None:
+    def record_signals(self, signals: Sequence[int]) -> None:
         """Record signals that came during a trial, which obeyed them or was ending anyway; 0 means none."""
         self._interrupted = self._interrupted or any(signals)
 

@@ -20,7 +20,7 @@ from evetac_cli.events import Events
 from evetac_cli.realtime.last_words import LastWords, exit_words, telling, with_reason
 from evetac_cli.realtime.message_pipe import MessageWriter
 from evetac_cli.realtime.processes import start_shielded, wait_while_computing
-from evetac_cli.trials.live_view.shared_view import Begun, Ended, GripperNumbers, Lost, Said, SharedView, Title
+from evetac_cli.trials.live_view.shared_view import Ended, GripperNumbers, Lost, Message, SharedView, Started, Title
 from evetac_cli.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class LiveView:
         self._messages = MessageWriter(outbox, MOST_BYTES)
         self._lost: tuple[str, str] | None = None
         self._missed = 0
-        self._has_ended = self._has_told = False
+        self._has_ended = self._death_reported = False
         self._moves = title.moves
         self._last_words = LastWords()
         self._process = context.Process(
@@ -74,7 +74,7 @@ class LiveView:
     def begin(self, sensor: Mapping[str, Any]) -> None:
         """Report that the camera runs; sensor: its datasets `sensor/...`, and other known ones."""
         datasets = {name: value for name, value in sensor.items() if name.startswith("sensor/")}
-        self._send(Begun(datasets))
+        self._send(Started(datasets))
 
     def add_slice(self, events: Events, late_us: float = float("nan"), probability: float = float("nan")) -> None:
         """Show one more slice; late_us: from its end until its arrival; probability: of slip, if the loop has one."""
@@ -96,7 +96,7 @@ class LiveView:
 
     def lost(self, counts: Mapping[str, int]) -> None:
         """Show the losses of devices so far, by DEVICE.REASON; called regularly, it also reports that the view died."""
-        self._tell_death()
+        self._report_death()
         lost = losses.events_lost(counts)
         now = (lost if isinstance(lost, str) else f"{lost:,}", losses.reasons(counts) or "")
         if now != self._lost:
@@ -105,7 +105,7 @@ class LiveView:
 
     def say(self, text: str) -> None:
         """Show a message to the user, on the page and the terminal."""
-        self._send(Said(text))
+        self._send(Message(text))
         console.say(text)
 
     @property
@@ -117,7 +117,7 @@ class LiveView:
         """Report why there will be no more slices, and end the process; a second call does nothing."""
         if self._has_ended:
             return
-        self._tell_death()
+        self._report_death()
         self._has_ended = True
         self._send(Ended(why))
         with suppress(BrokenPipeError):
@@ -127,11 +127,11 @@ class LiveView:
             self._process.kill()
             self._process.join()
 
-    def _tell_death(self) -> None:
+    def _report_death(self) -> None:
         """Report once that the view has died, why, and the effect on its button."""
-        if self._has_told or self._has_ended or self._process.exitcode is None:
+        if self._death_reported or self._has_ended or self._process.exitcode is None:
             return
-        self._has_told = True
+        self._death_reported = True
         how = exit_words(self._process, self._last_words)
         button = ", so its button no longer works: Ctrl-C releases the gripper" if self._moves else ""
         console.say(f"{with_reason('the live view died', how)}{button}; the recording continues")

@@ -50,7 +50,7 @@
     if (now.missed) rows.push(["commands missed", number(now.missed, 0), "", true]);
     if (now.normal_n !== undefined && now.normal_n !== null)
       rows.push(...[["normal force", "normal", "n", "N"], ["shear force", "shear", "n", "N"], ["torsion", "torsion", "n_mm", "N mm"]].map(
-        ([name, field, unit, said]) => [name, `${number(now[`${field}_${unit}`], 2)} ${said}`,
+        ([name, field, unit, text]) => [name, `${number(now[`${field}_${unit}`], 2)} ${text}`,
                                         `${now[`${field}_sd_${unit}`] === null ? "no touch" : `± ${number(now[`${field}_sd_${unit}`], 2)}`}, estimated`]));
     by("tiles").replaceChildren(...rows.map(([name, value, small, alarm]) => {
       const tile = make("div", undefined, alarm ? "alarm" : "");
@@ -220,8 +220,8 @@
     by("simulated").hidden = !about.simulated;
     by("let-go").hidden = !about.moves;
     by("notes").replaceChildren(...about.notes.map((note) => make("li", note)));
-    by("said").replaceChildren(...about.said.map((text) => make("li", text)));
-    by("said-card").hidden = about.said.length === 0;
+    by("messages").replaceChildren(...about.messages.map((text) => make("li", text)));
+    by("messages-card").hidden = about.messages.length === 0;
   }
 
   const complete = (sample) => sample.shear_x_n === undefined ? sample

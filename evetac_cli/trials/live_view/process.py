@@ -20,10 +20,10 @@ from evetac_cli.realtime.message_pipe import MessageReader
 from evetac_cli.realtime.processes import set_niceness
 from evetac_cli.resources import DATA
 from evetac_cli.trials.live_view.samples import PERIOD_S, Follower, OpenDetector, load
-from evetac_cli.trials.live_view.shared_view import Begun, Ended, Lost, Said, SharedView, Title
+from evetac_cli.trials.live_view.shared_view import Ended, Lost, Message, SharedView, Started, Title
 
 NICENESS = 19
-MOST_SAID = 20
+MOST_MESSAGES = 20
 HERE = Path(__file__).parent
 FILES = (HERE / "page.html", HERE / "page.js", HERE / "page.css", DATA / "touch_map.js")
 LAST_S = 0.5  # time for clients that draw a picture to request the last message
@@ -44,13 +44,13 @@ class ViewState:
         """Take the messages that have arrived."""
         for message in self._inbox.take():
             match message:
-                case Begun():
+                case Started():
                     self.follower.begin(message.sensor, self._open_detector)
                     self.version += 1
                 case Lost():
                     self.lost = message
-                case Said():
-                    self.messages = [*self.messages, message.text][-MOST_SAID:]
+                case Message():
+                    self.messages = [*self.messages, message.text][-MOST_MESSAGES:]
                     self.version += 1
                 case Ended():
                     self.ended = message.why
@@ -66,7 +66,7 @@ class ViewState:
                 "frame_px": follower.frame_px,
                 "threshold": follower.threshold,
                 "notes": follower.notes,
-                "said": self.messages,
+                "messages": self.messages,
                 "samples": list(follower.samples),
             }
         }

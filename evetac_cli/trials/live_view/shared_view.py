@@ -48,7 +48,7 @@ class Title(NamedTuple):
     moves: bool  # whether a gripper moves that can be released
 
 
-class Begun(NamedTuple):
+class Started(NamedTuple):
     """The camera runs."""
 
     sensor: Mapping[str, Any]  # datasets sensor/...
@@ -61,7 +61,7 @@ class Lost(NamedTuple):
     why: str
 
 
-class Said(NamedTuple):
+class Message(NamedTuple):
     """A message to the user."""
 
     text: str

@@ -88,13 +88,13 @@ class CameraRecording:
     loop: GripperLoop | None = None  # commands the gripper, if there is one
     thread: SliceThread | None = None  # reads the camera, if it is not the first
 
-    def append(self, events: Events, came_s: float) -> None:
+    def append(self, events: Events, received_s: float) -> None:
         """Write one slice, and count it."""
-        self.first_s = self.first_s or came_s
-        self.last_s = came_s
+        self.first_s = self.first_s or received_s
+        self.last_s = received_s
         self.slices += 1
         self.events += events.size
-        self.late_us = came_s * 1e6 - self.rig.camera.host_us(self.slices * SLICE_US)
+        self.late_us = received_s * 1e6 - self.rig.camera.host_us(self.slices * SLICE_US)
         if not math.isnan(self.late_us):
             self.delays.add(self.late_us)
             self.late_slices.add(self.late_us, events.size)

@@ -65,7 +65,7 @@ def run(trial: DeviceRecording, *, force: bool = False, progress: Progress, desk
     if desk is None and (trial.cameras[0].has(Capability.HARDWARE) or trial.gripper.has(Capability.HARDWARE)):
         session.wait_for_object(trial)
     with ExitStack() as opened, ExitStack() as priority:
-        came = opened.enter_context(interrupts.signals_interrupt())
+        received = opened.enter_context(interrupts.signals_interrupt())
         name = f"record {trial.output.name}"
         view = opened.enter_context(live_view.opened(trial, name, moves=trial.hold is not None))
         # The gripper only holds while all threads are on time, including the camera's, which share the interpreter.
@@ -84,10 +84,10 @@ def run(trial: DeviceRecording, *, force: bool = False, progress: Progress, desk
                 console.say(note)
             recordings.append(_begin(trial, rig, place, trajectory, None if place else view))
         moves = recordings[0].rig.gripper is not None
-        with interrupts.signals_counted(came) as signals, session.gripper_key(moves=moves) as key:
+        with interrupts.signals_counted(received) as signals, session.gripper_key(moves=moves) as key:
             if desk is not None:
-                opened.callback(desk.signals_came, signals)
-                if moves and desk.called_off:
+                opened.callback(desk.record_signals, signals)
+                if moves and desk.end_reason:
                     with interrupts.signals_held():
                         _release(recordings)
                     return _thrown_away(recordings)
@@ -334,8 +334,8 @@ class _Capture:
             for row in commands:
                 self.view.add_command(row)
         for recording in others:
-            for events, came_s in () if recording.thread is None else recording.thread.take():
-                recording.append(events, came_s)
+            for events, received_s in () if recording.thread is None else recording.thread.take():
+                recording.append(events, received_s)
 
 
 def _result(

@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # needs the libraries of the file's format
 
 METHOD = 3
 # Properties of a file that the user may specify; stored in the header if specified.
-SAID = ("drop_late", "from_restart", "columns", "time_unit")
+OPTIONS = ("drop_late", "from_restart", "columns", "time_unit")
 NO_TIMES = np.empty(0, np.int64)
 
 
@@ -75,7 +75,7 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
             "source": job.inputs[0].name,
             "format": facts.format,
             "sorted": params.sort,
-            **{name: getattr(params, name) for name in SAID if getattr(params, name) not in (None, False)},
+            **{name: getattr(params, name) for name in OPTIONS if getattr(params, name) not in (None, False)},
             "dropped": dict(facts.counts),
             "left_out": dict(facts.left_out),
             "notes": list(facts.notes),

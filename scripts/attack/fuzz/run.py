@@ -53,12 +53,12 @@ WARM = ("recording", "features", "tracks", "DSEC", "grasp recording", "scene")  
 SHOWN = 400  # characters of a command's output that are kept with a problem
 
 
-def call(arguments: list[str], folder: Path, said: Path) -> dict[str, Any]:
-    """Run one command in a child process; return exit code, seconds and MB. Its output is written to `said`."""
+def call(arguments: list[str], folder: Path, streams: Path) -> dict[str, Any]:
+    """Run one command in a child process; return exit code, seconds and MB. Its output is written to `streams`."""
     started, limit_s = time.monotonic(), WAITS_S
     child = os.fork()
     if child == 0:
-        _child(arguments, folder, said)
+        _child(arguments, folder, streams)
     status, usage = None, None
     while status is None:
         pid, code, used = os.wait4(child, os.WNOHANG)
@@ -74,7 +74,7 @@ def call(arguments: list[str], folder: Path, said: Path) -> dict[str, Any]:
     return {"exit": ended, "seconds": round(usage.ru_utime + usage.ru_stime, 3), "memory_mb": usage.ru_maxrss >> 10}
 
 
-def _child(arguments: list[str], folder: Path, said: Path) -> None:
+def _child(arguments: list[str], folder: Path, streams: Path) -> None:
     code = 70
     try:
         os.setpgid(0, 0)
@@ -82,7 +82,7 @@ def _child(arguments: list[str], folder: Path, said: Path) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
         resource.setrlimit(resource.RLIMIT_CPU, (HANG_S, HANG_S + 1))
         for number, name in ((1, "stdout"), (2, "stderr")):
-            file = os.open(said.with_suffix(f".{name}"), os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+            file = os.open(streams.with_suffix(f".{name}"), os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
             os.dup2(file, number)
         sys.stdin = open(os.devnull)  # noqa: SIM115 - until the child ends
         sys.argv = ["evetac", *arguments]
@@ -102,9 +102,9 @@ def _child(arguments: list[str], folder: Path, said: Path) -> None:
         os._exit(code)
 
 
-def problems(result: dict[str, Any], said: Path, folder: Path, before: set[str], as_json: bool) -> list[str]:
+def problems(result: dict[str, Any], streams: Path, folder: Path, before: set[str], as_json: bool) -> list[str]:
     """Return the problems of a command, each as `name: details`."""
-    out, err = (said.with_suffix(f".{name}").read_bytes() for name in ("stdout", "stderr"))
+    out, err = (streams.with_suffix(f".{name}").read_bytes() for name in ("stdout", "stderr"))
     words = (out + err).decode(errors="replace")
     lines = []
     if "Traceback (most recent call last)" in words or "internal error" in words:
@@ -163,17 +163,17 @@ def case(number: int, seed: int, files: Path, folder: Path, kinds: Sequence[corp
         outputs.mkdir()
         as_json = bool(rng.random() < 0.5) and not command.startswith("wire")
         words = command.format(f=damaged, o=outputs, d=folder).split() + (["--json"] if as_json else [])
-        said = folder.parent / "said"
+        streams = folder.parent / "output"
         before = _files(folder)
-        result = call(words, folder, said)
-        wrong = problems(result, said, folder, before, as_json)
+        result = call(words, folder, streams)
+        wrong = problems(result, streams, folder, before, as_json)
         if result["exit"] == 0:
             for made in sorted(outputs.rglob("*.h5")):
                 if "." in made.stem and not made.is_symlink():  # a stage file: NAME.KIND.h5
-                    checked = call(["validate", str(made)], folder, said)
+                    checked = call(["validate", str(made)], folder, streams)
                     if checked["exit"] != 0:
-                        text = said.with_suffix(".stdout").read_text(errors="replace")
-                        text += said.with_suffix(".stderr").read_text(errors="replace")
+                        text = streams.with_suffix(".stdout").read_text(errors="replace")
+                        text += streams.with_suffix(".stderr").read_text(errors="replace")
                         wrong.append(f"output: {made.name}: {' '.join(text.split())[-SHOWN:]}")
         row["runs"].append({"command": command, **result})
         row["problems"] += [f"{command}: {line}" for line in wrong]

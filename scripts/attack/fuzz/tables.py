@@ -84,11 +84,11 @@ def damage_parquet(path: Path, rng: Rng) -> str:
         if table.num_rows > 1_000_000:
             return "large already"
         change = PARQUET[rng.integers(len(PARQUET))]
-        table, said = change(table, rng)
+        table, description = change(table, rng)
         pq.write_table(table, path, **_options(rng, table.num_rows * table.num_columns // 4))
     except (pa.ArrowException, OSError, ValueError, TypeError, NotImplementedError) as error:
         return f"not possible ({type(error).__name__})"
-    return said
+    return description
 
 
 def _options(rng: Rng, rows: int) -> dict[str, object]:

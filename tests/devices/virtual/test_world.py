@@ -113,7 +113,7 @@ def test_looking_comes_to_an_end(made: Made, request: pytest.FixtureRequest) -> 
 @pytest.mark.slow
 def test_truth_waits_for_its_reader(made: Made) -> None:
     """Assert that all of it comes, and its end, though nobody read it before the world was over."""
-    world = VirtualWorld(short_plan(made), seeds(), tells_truth=True)
+    world = VirtualWorld(short_plan(made), seeds(), sends_truth=True)
     assert world.truths is not None
     try:
         world.run(True)

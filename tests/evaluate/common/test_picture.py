@@ -102,7 +102,9 @@ def slip_outcome(settings: int, objects: int, *, published: bool) -> Outcome:
         rows.append({"setting": name, **what, **shares, "f1": 0.98, **papers, **warned, **intervals, **price})
     for number in range(settings):
         name = rows[number]["setting"]
-        rows += [{"setting": name, "said_from": n / 10, "said": n / 10, "happened": n / 12} for n in range(1, 10)]
+        rows += [
+            {"setting": name, "predicted_from": n / 10, "predicted": n / 10, "observed": n / 12} for n in range(1, 10)
+        ]
         rows += [{"setting": name, "object": str(n), "trajectories": 4, "f1": 1.0 - n / 50} for n in range(objects)]
         rows += [
             {
@@ -165,8 +167,8 @@ def test_the_picture_of_grasps(settings: int, objects: tuple[int, ...], trials: 
     rows, _ = grasp.tables(grasp_rows(settings, objects, trials, held=held))
     figure = drawn(lambda figure: grasp._draw(figure, rows, SOURCE), grasp._size_in(rows, SOURCE))
     assert faults(figure) == []
-    said = [text.get_text() for axes in figure.axes for text in axes.texts]
-    assert said == ([] if held else 3 * ["no object was held"])
+    predicted = [text.get_text() for axes in figure.axes for text in axes.texts]
+    assert predicted == ([] if held else 3 * ["no object was held"])
 
 
 @pytest.mark.parametrize("presets", [1, pytest.param(4, marks=pytest.mark.slow)])

@@ -100,7 +100,7 @@ def test_shares_in_closed_form(tmp_path: Path) -> None:
         assert row[f"share_{name}"] == pytest.approx(a_slice * 5 * 1000 / RGB_BYTES_S)
         assert row[f"bytes_s_{name}"] == pytest.approx(a_slice * 5 * 1000)
     assert (row["contact_from_ms"], row["contact_to_ms"], row["slip_ms"]) == (TOUCH, LOST, ONSET)
-    assert row["not_answered"] is None
+    assert row["not_measured"] is None
     assert [interval["paper_share_mean"] for interval in intervals] == [0.017, 0.028, 0.119]
     assert [interval["share_sd"] for interval in intervals] == [None] * 3
 
@@ -152,7 +152,7 @@ def test_slip_from_labels(tmp_path: Path) -> None:
     ((row,), _) = evaluated(path)
     assert row["share_slip"] == pytest.approx(100 * 5 * 1000 / RGB_BYTES_S)
     assert row["share_contact"] is None
-    assert row["not_answered"].startswith("contact: no truth")
+    assert row["not_measured"].startswith("contact: no truth")
     with StageFile(tmp_path / "a.report.h5") as report:
         kinds = {report.header["history"][parent]["kind"] for parent in report.header["parents"]}
     assert kinds == {"recording", "labels"}
@@ -176,7 +176,7 @@ def test_what_cannot_be_answered_is_said(tmp_path: Path, how: dict[str, Any], re
     if labels is not None:
         labels_file(path, labels, doubt=doubt)
     ((row,), intervals) = evaluated(path)
-    assert reason in row["not_answered"]
+    assert reason in row["not_measured"]
     assert row[f"share_{reason.partition(':')[0]}"] is None
     assert row["share_whole"] > 0
     assert intervals[0]["share_mean"] == row["share_whole"]

@@ -10,7 +10,7 @@ from evetac_cli.commands.evaluate import EvaluateLabels
 from evetac_cli.evaluate.labels.measure import for_people, is_near, judged, slid_so_far, summary, true_onsets
 from evetac_cli.pages.view.time_series import slip_onsets
 from evetac_cli.store.recordings import slip_grid
-from evetac_cli.store.recordings.onset import LabelledOnset, told_onset
+from evetac_cli.store.recordings.onset import LabelledOnset, onset_of_values
 from evetac_cli.store.recordings.read import true_onset
 
 RAMP_MS = 40
@@ -67,7 +67,7 @@ def test_beginning_of_the_slip_and_last_stuck_node() -> None:
 
 
 def told(onset: int, earliest: int = -1, latest: int = -1, doubt: str = "") -> LabelledOnset:
-    return told_onset(onset, earliest, latest, 1.0, doubt)
+    return onset_of_values(onset, earliest, latest, 1.0, doubt)
 
 
 def slid(*steps: tuple[int, float], slices: int = 100) -> np.ndarray:

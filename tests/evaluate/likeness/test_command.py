@@ -69,16 +69,16 @@ def test_what_is_not_told_says_what_would_tell_it(tmp_path: Path) -> None:
     """Assert that each fact is told or says what it needs, and that a scene's fact is not told by another scene."""
     rows, outcome = evaluated([slip_of(tmp_path / "3.recording.h5", 3, 60)], tmp_path)
     for name, row in rows.items():
-        assert (row["simulated"] is None) == bool(row["not_told"]), name
-    assert "slips of at least two objects" in rows["one-threshold"]["not_told"]
-    assert rows["data-rate-whole"]["not_told"] == "no simulated recording here is of the scene data-rate"
-    assert rows["grasps-kept"]["not_told"].startswith("it needs grasps")
+        assert (row["simulated"] is None) == bool(row["not_measured"]), name
+    assert "slips of at least two objects" in rows["one-threshold"]["not_measured"]
+    assert rows["data-rate-whole"]["not_measured"] == "no simulated recording here is of the scene data-rate"
+    assert rows["grasps-kept"]["not_measured"].startswith("it needs grasps")
     assert rows["gel-stiffness"]["simulated_from"].endswith(" as it is set")
     shown, lines = command.for_people(outcome.rows, EvaluateLikeness())
     assert {row["fact"] for row in shown} >= {"half-slipped-time", "path-per-gram"}
     assert {row["fact"] for row in shown}.isdisjoint({"grasps-kept", "gel-stiffness"})
     assert lines[1].startswith("Of the 19 ")
-    reasons = {row["not_told"] for row in rows.values()} - {None}
+    reasons = {row["not_measured"] for row in rows.values()} - {None}
     assert len(lines) == 2 + len(reasons)
     assert sum(f" {name}" in line for line in lines[2:] for name in ("data-rate-whole", "one-threshold")) == 2
 

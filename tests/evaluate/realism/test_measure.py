@@ -115,10 +115,10 @@ def test_windows_are_told_apart(tmp_path: Path) -> None:
         assert outcome.summary["auc_of_same" if same else "auc_of_halves"] == apart[name]["distance_of_halves"]
         assert apart[name]["real"] == apart[name]["simulated"] == 20
         assert outcome.summary["windows"] == outcome.summary["windows_simulated"] == 20
-        _, (near, *_, told_apart) = realism.for_people(rows, asked)
+        _, (near, *_, separability) = realism.for_people(rows, asked)
         assert near.startswith(f"{outcome.summary['figures_within_10_percent']} of ")
-        assert told_apart.startswith("20 real and 20 simulated windows: ")
-        assert f"AUC of {outcome.summary['auc']:.2f}" in told_apart
+        assert separability.startswith("20 real and 20 simulated windows: ")
+        assert f"AUC of {outcome.summary['auc']:.2f}" in separability
     assert apart["like"]["distance"] < 0.85 < 0.95 < apart["unlike"]["distance"]
     assert apart["unlike"]["distance_of_halves"] == apart["like"]["distance"]
 

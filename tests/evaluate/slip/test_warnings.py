@@ -110,6 +110,6 @@ def test_groups_have_their_own_shares() -> None:
 def test_reliability_is_told_in_steps() -> None:
     """Assert that a detector that says 0.9 from 10 ms ahead on has one step, of which a third is too early."""
     (step,) = slip_warnings.reliability_rows("x", [[prediction("1", 10)]])
-    assert (step["said"], step["slices"]) == (0.9, 32)
-    assert step["happened"] == pytest.approx(20 / 32)
+    assert (step["predicted"], step["slices"]) == (0.9, 32)
+    assert step["observed"] == pytest.approx(20 / 32)
     assert of_seeds([prediction("1", 10)])["calibration_error"] == pytest.approx(0.9 - 20 / 32)

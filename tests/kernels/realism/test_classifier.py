@@ -58,7 +58,7 @@ def test_a_difference_of_known_size() -> None:
     first, second = rng.standard_normal((400, 5)), rng.standard_normal((400, 5))
     second[:, 2] += 2.0
     best = norm.cdf(2.0 / np.sqrt(2.0))
-    assert realism.told_apart(first, second) == pytest.approx(best, abs=0.03)
+    assert realism.separability(first, second) == pytest.approx(best, abs=0.03)
 
 
 def test_equal_sets() -> None:
@@ -67,7 +67,7 @@ def test_equal_sets() -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)
         motion = 3.0 * rng.standard_normal((32, 20))
-        areas.append(realism.told_apart(*(motion + rng.standard_normal((32, 20)) for _ in range(2))))
+        areas.append(realism.separability(*(motion + rng.standard_normal((32, 20)) for _ in range(2))))
     assert np.mean(areas) == pytest.approx(0.5, abs=0.08)
 
 
@@ -81,5 +81,5 @@ def test_what_a_window_cannot_tell() -> None:
         part[:, 2] = 7.0
         part[rng.random(60) < 0.3, 0] = np.nan
         part[5, 3] = 1e300
-    assert realism.told_apart(first, second) > 0.8
-    assert 0.2 < realism.told_apart(first[:, 1:], second[:, 1:]) < 0.8
+    assert realism.separability(first, second) > 0.8
+    assert 0.2 < realism.separability(first[:, 1:], second[:, 1:]) < 0.8

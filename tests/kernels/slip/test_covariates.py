@@ -65,7 +65,7 @@ def test_without_ramp_contact_or_past() -> None:
     """Assert that without a ramp there is no creep, and at the first slice of a recording next to nothing is told."""
     slip = of_truth(ONSET, SLICES, replace(truth(), ramp=0, held_xy_px=None), counted(events()))
     assert slip.creep_to_gross_ms is None
-    assert covariates.not_told([slip]) == ["creep_to_gross_ms"]
+    assert covariates.unknown_covariates([slip]) == ["creep_to_gross_ms"]
     none = SlipTruth(
         np.zeros(0, bool), np.zeros(0, np.float32), np.ones(1, np.float32), np.zeros((0, 2), np.float32), 0, None
     )
@@ -125,5 +125,5 @@ def test_summary_over_slips() -> None:
             "n": 1,
         },
     ]
-    assert "creep_to_gross_ms" not in covariates.not_told(slips)
+    assert "creep_to_gross_ms" not in covariates.unknown_covariates(slips)
     assert covariates.summary([]) == []

@@ -12,8 +12,8 @@ def overconfident(scale: float, offset: float, slices: int = 40_000) -> Predicti
     rng = np.random.default_rng(4)
     odds = rng.normal(-1, 3, slices)
     happens = rng.random(slices) < 1 / (1 + np.exp(-(scale * odds + offset)))
-    said = (1 / (1 + np.exp(-odds))).astype(np.float32)
-    return Prediction(said, happens.astype(np.int8), -1)
+    predicted = (1 / (1 + np.exp(-odds))).astype(np.float32)
+    return Prediction(predicted, happens.astype(np.int8), -1)
 
 
 def test_scale_and_offset_are_found() -> None:
@@ -23,8 +23,8 @@ def test_scale_and_offset_are_found() -> None:
     assert found == pytest.approx((0.5, -1.5), abs=0.08)
 
     def error(probability: np.ndarray) -> float | None:
-        said, slips = reliability.judged([Prediction(probability, one.label, -1)])
-        return reliability.expected_error(reliability.bins(said, slips))
+        predicted, slips = reliability.judged([Prediction(probability, one.label, -1)])
+        return reliability.expected_error(reliability.bins(predicted, slips))
 
     before, after = error(one.probability), error(found.of(one.probability))
     assert before is not None and after is not None
@@ -35,16 +35,16 @@ def test_slices_long_after_the_onset_do_not_count() -> None:
     """Assert that unexamined slices, those without a probability and those 20 ms after the onset are left out."""
     probability, label = np.full(200, 0.5), np.zeros(200, np.int8)
     probability[:5], label[5:10], label[100:] = np.nan, -1, 1
-    said, slips = reliability.judged([Prediction(probability, label, 100)])
-    assert (len(said), slips.sum()) == (110, 20)
+    predicted, slips = reliability.judged([Prediction(probability, label, 100)])
+    assert (len(predicted), slips.sum()) == (110, 20)
 
 
 def test_reliability_by_hand() -> None:
     """Assert that the error is the mean of the steps' differences, by their slices, and nothing below 0.1 counts."""
-    said = np.array([0.05] * 50 + [0.25] * 4 + [1.0] * 6)
+    predicted = np.array([0.05] * 50 + [0.25] * 4 + [1.0] * 6)
     slips = np.array([1] * 50 + [1, 0, 0, 0] + [1, 1, 1, 0, 0, 0], np.bool_)
-    bins = reliability.bins(said, slips)
-    assert [(one.slices, one.mean_probability, one.happened) for one in bins] == [(4, 0.25, 0.25), (6, 1.0, 0.5)]
+    bins = reliability.bins(predicted, slips)
+    assert [(one.slices, one.mean_probability, one.observed) for one in bins] == [(4, 0.25, 0.25), (6, 1.0, 0.5)]
     assert reliability.expected_error(bins) == pytest.approx(0.3)
     assert reliability.expected_error([]) is None
 

@@ -142,8 +142,8 @@ def test_flow_is_no_larger_than_it_means(
     assert (examined.name, rest.name) == ("window against gel", "not examined")
     assert np.nanmax(examined.value) == pytest.approx(3.0) and np.isnan(examined.value[:50]).all()
     assert np.nanmax(rest.value) == pytest.approx(after) and np.isnan(rest.value[50 : onset + 20]).all()
-    assert words in panel.says
-    assert ("lost" in panel.says) == (after > high)
+    assert words in panel.caption
+    assert ("lost" in panel.caption) == (after > high)
 
 
 TOUCH = {
@@ -190,7 +190,7 @@ def test_touch_has_its_deviation(
         values[100:110] = np.nan  # too few dots are tracked
     write_touch(trial, unknown, **chosen)
     data = shown(trial, images=1)
-    assert words in panel_of(data, "Force on the gel, estimated").says
+    assert words in panel_of(data, "Force on the gel, estimated").caption
     for title, names in DRAWN.items():
         lines = {line.name: line for line in panel_of(data, f"{title}, estimated").lines}
         assert list(lines) == list(names)

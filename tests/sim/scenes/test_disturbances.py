@@ -93,10 +93,10 @@ def test_mass_of_the_object(mass_g: float) -> None:
     """Assert that the mass is the scene's, times the factor of its trial, and that nothing else is sampled anew."""
     plain, changed = quiet_plan("slip"), quiet_plan("slip", {"object": {"mass_g": mass_g}})
     samples = [
-        vars(sampling.sample_trial(plan.scene, plan.touched, plan.sensor, np.random.default_rng(5)))
+        vars(sampling.sample_trial(plan.scene, plan.object, plan.sensor, np.random.default_rng(5)))
         for plan in (plain, changed)
     ]
-    ratio = mass_g / plain.touched.mass_g
+    ratio = mass_g / plain.object.mass_g
     assert samples[1]["mass_kg"] == pytest.approx(samples[0]["mass_kg"] * ratio, rel=1e-12)
     assert {**samples[0], "mass_kg": 0} == {**samples[1], "mass_kg": 0}
     # above the limit, as the rim of a heavy contact lets go first, and then holds by kinetic friction alone
@@ -110,7 +110,7 @@ def test_mass_of_the_object(mass_g: float) -> None:
 def test_one_gear_friction() -> None:
     """Assert that one number stands for a range that is as wide as nothing, and shifts nothing else."""
     samples = [
-        vars(sampling.sample_trial(plan.scene, plan.touched, plan.sensor, np.random.default_rng(5)))
+        vars(sampling.sample_trial(plan.scene, plan.object, plan.sensor, np.random.default_rng(5)))
         for plan in (
             quiet_plan("slip", {"gripper": {"friction_factor": factor}}) for factor in (0.7, [0.7, 0.7], [0.5, 1.5])
         )

@@ -37,7 +37,7 @@ def world(object_number: int, seed: int = 0, name: str = "slip", sensor: str = "
     """A trial of an object touched in its middle: off it, a hanging object swings for seconds, as a pendulum does."""
     built = first_plan(name, str(object_number), sensor)
     built = merge(built, {"randomise": {"touch_mm": None, "lever_mm": None}})
-    built = dataclasses.replace(built, touched=dataclasses.replace(built.touched, lever_mm=0.0))
+    built = dataclasses.replace(built, object=dataclasses.replace(built.object, lever_mm=0.0))
     return grasp_of(built, seed, lift_s=1.5, balance_s=0.0)
 
 

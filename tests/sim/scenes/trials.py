@@ -1,4 +1,4 @@
-"""Plans and trials of scenes that come with evetac, as tests of single parts of a scene need them."""
+"""PlanTemplate and trials of scenes that come with evetac, as tests of single parts of a scene need them."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[3] / "evetac_cli"
-TYPED = {"plan", "scene", "sensor_row", "object_row", "touched", "solver", "randomise", "like"}
+TYPED = {"plan", "scene", "sensor_row", "object_row", "object", "solver", "randomise", "like"}
 DOOR = "sim/setup/"  # where tables are read
 
 

@@ -30,9 +30,9 @@ def random(seed: int) -> np.random.Generator:
 
 def test_samples_stay_in_their_ranges() -> None:
     """Assert that 200 samples lie in the scene's ranges and fill them."""
-    touched, rng = object_file.of_number(8), random(0)
-    sampled = [sampling.sample_trial(SLIP, touched, EVETAC, rng) for _ in range(200)]
-    friction = np.array([one.static_friction for one in sampled]) / touched.static_friction
+    object, rng = object_file.of_number(8), random(0)
+    sampled = [sampling.sample_trial(SLIP, object, EVETAC, rng) for _ in range(200)]
+    friction = np.array([one.static_friction for one in sampled]) / object.static_friction
     low, high = SLIP.randomise.static_friction
     assert low <= friction.min() < low + 0.02
     assert high - 0.02 < friction.max() <= high
@@ -52,7 +52,7 @@ def test_keys_of_a_scene_leave_other_samples() -> None:
     sampled = [sampling.sample_trial(more, flat, EVETAC, random(seed)) for seed in range(400)]
     assert np.std([one.lever_m for one in sampled]) == pytest.approx(3e-3, rel=0.15)
     assert np.std([one.touch_m for one in sampled]) == pytest.approx(3e-3 / math.sqrt(3), rel=0.1)
-    assert sampling.sample_trial(more, round_, EVETAC, random(0)).lever_m == 0.0  # touched on its axis
+    assert sampling.sample_trial(more, round_, EVETAC, random(0)).lever_m == 0.0  # object on its axis
 
 
 def test_objects_keep_their_kinetic_share() -> None:
@@ -60,8 +60,8 @@ def test_objects_keep_their_kinetic_share() -> None:
     spread = slip(kinetic_share_spread=0.03)
 
     def shares(number: int) -> list[float]:
-        touched = object_file.of_number(number)
-        sampled = [sampling.sample_trial(spread, touched, EVETAC, random(seed), number) for seed in range(30)]
+        object = object_file.of_number(number)
+        sampled = [sampling.sample_trial(spread, object, EVETAC, random(seed), number) for seed in range(30)]
         return [one.kinetic_friction / one.static_friction for one in sampled]
 
     by_object = [shares(number) for number in range(1, 9)]
@@ -79,8 +79,8 @@ def test_a_gels_kinetic_share_keeps_objects_apart(spread: float) -> None:
     soft = replace(EVETAC, friction=GelFriction(kinetic_share=0.35))
 
     def share(scene: Scene, sensor: Sensor, number: int, seed: int) -> float:
-        touched = object_file.of_number(number)
-        sampled = sampling.sample_trial(scene, touched, sensor, random(seed), number)
+        object = object_file.of_number(number)
+        sampled = sampling.sample_trial(scene, object, sensor, random(seed), number)
         return sampled.kinetic_friction / sampled.static_friction
 
     own = slip(kinetic_share_spread=spread)
@@ -105,20 +105,20 @@ def test_a_gels_kinetic_share_stays_within_1() -> None:
 def test_friction_of_a_scene_and_of_a_sensor() -> None:
     """Assert that memory and pressure law are drawn from the ranges, alone, and that those of a sensor come first."""
     ranges = slip(memory_um=(60.0, 130.0), pressure_exponent=(0.2, 0.8))
-    touched = object_file.of_number(8)
+    object = object_file.of_number(8)
     for seed in range(20):
-        plain, drawn = (sampling.sample_trial(scene, touched, EVETAC, random(seed), 8) for scene in (SLIP, ranges))
+        plain, drawn = (sampling.sample_trial(scene, object, EVETAC, random(seed), 8) for scene in (SLIP, ranges))
         assert (plain.friction_memory_m, plain.pressure_exponent) == (pytest.approx(50e-6), 0.67)
         assert 60e-6 <= drawn.friction_memory_m <= 130e-6
         assert 0.2 <= drawn.pressure_exponent <= 0.8
         same = {"friction_memory_m": 0, "pressure_exponent": 0}
         assert {**vars(plain), **same} == {**vars(drawn), **same}
-    many = [sampling.sample_trial(ranges, touched, EVETAC, random(seed), 8) for seed in range(200)]
+    many = [sampling.sample_trial(ranges, object, EVETAC, random(seed), 8) for seed in range(200)]
     values = np.array([(one.friction_memory_m, one.pressure_exponent) for one in many])
     assert np.ptp(values, axis=0) == pytest.approx([70e-6, 0.6], rel=0.05)
     assert abs(np.corrcoef(values.T)[0, 1]) < 0.2
     own = replace(EVETAC, friction=GelFriction(memory_um=20.0, pressure_exponent=0.9, stribeck_mm_s=2.0))
-    named = sampling.sample_trial(ranges, touched, own, random(0), 8)
+    named = sampling.sample_trial(ranges, object, own, random(0), 8)
     assert (named.friction_memory_m, named.stribeck_m_s) == pytest.approx((20e-6, 2e-3))
     assert named.pressure_exponent == 0.9
 

@@ -102,9 +102,8 @@ def test_status_and_slices(pipe: tuple[MessageReader, MessageWriter]) -> None:
     assert {status.zero_us for status in shared.published} == {7e6}
     began = [7e6 + (float(camera.slices[k].t[0]) if camera.slices[k].size else 1e3 * k) for k in range(2, most, 3)]
     assert list(shared.published[-1].slip_us) == began[-len(shared.published[-1].slip_us) :]
-    assert all(
-        status.heard_us == shared.published[k - 1].heard_us for k, status in enumerate(shared.published) if k % 5 == 4
-    )
+    last_us = [status.last_event_us for status in shared.published]
+    assert all(last_us[k] == last_us[k - 1] for k in range(4, len(last_us), 5))
     batches = batches_in(*pipe)
     assert [len(batch.counts) for batch in batches] == [BATCH_MS, BATCH_MS, 3]
     assert [count for batch in batches for count in batch.counts] == [part.size for part in camera.slices[:most]]

@@ -188,21 +188,21 @@ def test_what_is_called_off_before_it_begins_is_known(command: str, why: str) ->
     """Assert that whoever records sees it before anything moves, that start is refused, and that the next is free."""
     desk = Desk()
     starting = desk.ask({"command": "start", "name": "a"})
-    assert desk.called_off == ""
+    assert desk.end_reason == ""
     ending = desk.ask({"command": command})
-    assert desk.called_off == why
-    desk.ended(None, desk.called_off)
+    assert desk.end_reason == why
+    desk.ended(None, desk.end_reason)
     assert (starting.result(0)["ok"], starting.result(0)["error"]) == (False, why)
     assert (ending.result(0)["ok"], ending.result(0)["file"], ending.result(0)["ended"]) == (True, None, why)
     desk.ask({"command": "start", "name": "b"})
-    assert desk.called_off == ""
+    assert desk.end_reason == ""
 
 
 def test_signals_during_a_trial_are_remembered() -> None:
     """Assert that one that came is not forgotten for a later trial without, and that 0 is none."""
     desk = Desk()
-    desk.signals_came([0])
+    desk.record_signals([0])
     assert not desk.interrupted
-    desk.signals_came([2, 0])
-    desk.signals_came([])
+    desk.record_signals([2, 0])
+    desk.record_signals([])
     assert desk.interrupted

@@ -62,8 +62,8 @@ def _time_unit(seconds: list[float]) -> str:
     return next(name for name, us in UNITS.items() if us == times.assumed)
 
 
-# What is said of a parameter's default, made from the value that the code has.
-SAID: dict[tuple[str, str], Callable[[], str]] = {
+# What is documented of a parameter's default, made from the value that the code has.
+DOCUMENTED: dict[tuple[str, str], Callable[[], str]] = {
     ("trials", "tolerance_um"): lambda: f"the scene's, or {Solver.tolerance_um}",
     ("trials", "theta"): lambda: f"the scene's, or {Solver.theta}",
     ("trials", "node_pitch_mm"): lambda: (
@@ -105,7 +105,7 @@ SAID: dict[tuple[str, str], Callable[[], str]] = {
 EVERY = {(name, item.name): item for name, command in COMMANDS.items() for item in dataclasses.fields(command.params)}
 
 
-def said_default(text: str) -> str:
+def documented_default(text: str) -> str:
     """What a help text says after "default:", to the end of the sentence; or the words before "(the default)"."""
     if after := re.search(r"(?:; d|\. D)efault: ((?:[^.]|\.(?=\S))+)", text):
         return " ".join(after[1].replace(" %", "%").split())
@@ -113,55 +113,56 @@ def said_default(text: str) -> str:
     return f"{before[1]} (the default)" if before else ""
 
 
-def has_a_value(said: str, choices: tuple[str, ...]) -> bool:
-    """Whether a default is said by a number, or by one of the parameter's choices, and not in words alone."""
-    return bool(re.search(r"\d", said)) or any(re.search(rf"\b{re.escape(choice)}\b", said) for choice in choices)
+def has_a_value(text: str, choices: tuple[str, ...]) -> bool:
+    """Whether a default is documented by a number, or by one of the parameter's choices, and not in words alone."""
+    return bool(re.search(r"\d", text)) or any(re.search(rf"\b{re.escape(choice)}\b", text) for choice in choices)
 
 
 def key_of(command: str, name: str) -> tuple[str, str]:
     """A parameter by its command; record and grasp share those of their trials."""
-    return ("trials", name) if ("trials", name) in SAID and command in ("record", "grasp") else (command, name)
+    return ("trials", name) if ("trials", name) in DOCUMENTED and command in ("record", "grasp") else (command, name)
 
 
-def test_said_defaults_are_those_of_the_code() -> None:
+def test_documented_defaults_are_those_of_the_code() -> None:
     """Assert that a default that help names by its value is the one that the code has."""
     for (command, name), item in EVERY.items():
-        said = said_default(item.metadata["help"])
+        documented = documented_default(item.metadata["help"])
         key = key_of(command, name)
-        if key in SAID:
-            assert said.startswith(SAID[key]()), (command, name)
+        if key in DOCUMENTED:
+            assert documented.startswith(DOCUMENTED[key]()), (command, name)
         else:
-            assert not has_a_value(said, item.metadata["choices"]), f"add {key} to SAID, beside what the code has"
+            undocumented = f"add {key} to DOCUMENTED, beside what the code has"
+            assert not has_a_value(documented, item.metadata["choices"]), undocumented
 
 
 def test_no_parameter_says_two_defaults() -> None:
     """Assert that help names no default by hand where it is printed from the parameter."""
     for (command, name), item in EVERY.items():
         if item.default not in (None, False, ""):
-            assert not said_default(item.metadata["help"]), (command, name)
+            assert not documented_default(item.metadata["help"]), (command, name)
 
 
 def test_every_entry_is_of_a_parameter() -> None:
     """Assert that the table above speaks of parameters that there are."""
     shown = {key_of(command, name) for command, name in EVERY}
-    assert set(SAID) <= shown
+    assert set(DOCUMENTED) <= shown
 
 
 def test_flags_of_running_say_no_number() -> None:
     """Assert that help of how to run names no value by hand: it is printed from the table."""
     for table in (flags.OF_STAGES, flags.OF_VIEW, flags.OF_EXPORT, flags.OF_SHARE, flags.OF_DOCTOR):
         for _, default, _, help_ in table.values():
-            assert not re.search(r"\d", said_default(help_)), help_
-            assert default is None or not said_default(help_), help_
+            assert not re.search(r"\d", documented_default(help_)), help_
+            assert default is None or not documented_default(help_), help_
 
 
 def test_the_table_of_settings_in_the_docs() -> None:
     """Assert that every default in the table of docs/simulator.md is the code's."""
     rows = re.findall(r"^\| `(\w+)` \| [^|]*\| ([^|]+) \|", (ROOT / "docs" / "simulator.md").read_text(), re.MULTILINE)
     names = {item.name for item in dataclasses.fields(Solver)}
-    said = {name: value for name, value in rows if name in names}
-    assert set(said) == names
-    for name, value in said.items():
+    documented = {name: value for name, value in rows if name in names}
+    assert set(documented) == names
+    for name, value in documented.items():
         default = getattr(Solver, name)
         assert value.removeprefix("the scene's, or ") == (
             "none" if default is None else f"{default:g}".replace("e-0", "e-")
@@ -169,7 +170,7 @@ def test_the_table_of_settings_in_the_docs() -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "name", "said"),
+    ("command", "name", "documented"),
     [
         ("record", "tones", f"1 to {HIGHEST_TONE_HZ:g}"),
         (
@@ -185,6 +186,6 @@ def test_the_table_of_settings_in_the_docs() -> None:
         ("train", "validate", f"at least {train.FEWEST_VALIDATED_ON}"),
     ],
 )
-def test_ranges_in_help_are_those_of_the_code(command: str, name: str, said: str) -> None:
+def test_ranges_in_help_are_those_of_the_code(command: str, name: str, documented: str) -> None:
     """Assert that a range that help says in words is the one that is checked."""
-    assert said in EVERY[command, name].metadata["help"]
+    assert documented in EVERY[command, name].metadata["help"]
