@@ -24,10 +24,9 @@ import grip_oracle
 import numpy as np
 from script_tables import RESULTS, table_of, write
 
-from evetac_cli.commands.evaluate import EvaluateBenchmark
 from evetac_cli.devices.simulated import SimulatedGripper, rig
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.benchmark import command, data_set, own_methods, predictions, scores
+from evetac_cli.evaluate.benchmark import EvaluateBenchmark, command, data_set, own_methods, predictions, scores
 from evetac_cli.evaluate.benchmark.data_set import Benchmark, Truth
 from evetac_cli.evaluate.benchmark.predictions import WARNING_KINDS, Predictions
 from evetac_cli.jobs import Row, Rows

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 from experiment_steps import DATA_RATE_OBJECTS, ROBUST_SETTINGS, TRACKING_SCENES
 
-from evetac_cli.evaluate.common.paper import COLUMNS, FIGURES, value_of
+from evetac_cli.evaluate.data_rate.paper import COLUMNS
+from evetac_cli.evaluate.subjects import PAPER
 from evetac_cli.jobs import Row, Rows
 
 
@@ -28,7 +29,7 @@ Evaluations = dict[str, Evaluation]
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table. heading and cell: format strings over a row; paper: one over the names in paper.SHOWN."""
+    """A column of a table. heading and cell: format strings over a row; paper: one over the names in PAPER.columns."""
 
     heading: str
     cell: str
@@ -168,7 +169,7 @@ def window_rows(evaluations: Evaluations) -> Rows:
     rows = []
     for row in sums.values():
         is_paper = row["method"] == "paper"
-        published = {name: value_of(name, row) if is_paper else None for name in PAPERS_WINDOWS}
+        published = {name: PAPER.value_of(name, row) if is_paper else None for name in PAPERS_WINDOWS}
         shares = {name: row[count] / row["windows"] for name, count in SHARES_OF_WINDOWS.items() if count in row}
         rows.append({**row, **shares, **published})
     return rows
@@ -331,7 +332,7 @@ TRACKING_EDGE = Table(
     ),
     notes=(
         "Contrast and blur of the edges were adjusted until the preset `paper` reached about the paper's"
-        f" {FIGURES['consistent', 'paper'].value:.0%}.",
+        f" {PAPER.figures['consistent', 'paper'].value:.0%}.",
     ),
 )
 
@@ -434,7 +435,7 @@ GRASPS_BY_OBJECT = Table(
     ),
     notes=(
         "The model of the gripper was fitted to the paper's"
-        f" {FIGURES['opening', '17', '1'].value} and {FIGURES['opening', '18', '1'].value} ticks.",
+        f" {PAPER.figures['opening', '17', '1'].value} and {PAPER.figures['opening', '18', '1'].value} ticks.",
     ),
 )
 

@@ -12,8 +12,8 @@ from experiment_tables import Column, Evaluation, Table
 from report_facts import facts, methods, words_for
 from results import fill, keys
 
-from evetac_cli.evaluate.common import paper
 from evetac_cli.evaluate.common.source import Source
+from evetac_cli.evaluate.subjects import PAPER
 from evetac_cli.jobs import Row, Rows
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -39,8 +39,8 @@ def shown_rows(table: Table, rows: list[Row]) -> list[Row]:
     columns = [*table.columns, *([table.across] if table.across else [])]
     wanted = {key for column in columns for part in (column.heading, column.cell, column.paper) for key in keys(part)}
     wanted |= {"evaluation", *paper_rows.needed(table.name)}
-    for key in wanted & paper.SHOWN.keys():
-        wanted |= {*paper.SHOWN[key].needs, *paper.SHOWN[key].may_need}
+    for key in wanted & PAPER.columns.keys():
+        wanted |= {*PAPER.columns[key].needs, *PAPER.columns[key].may_need}
     return [{key: value for key, value in row.items() if table.measured or key in wanted} for row in rows]
 
 

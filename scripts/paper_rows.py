@@ -5,7 +5,7 @@
 
 `scripts/paper-rows.json` has a row for every statement of the paper. A figure names the table of docs/results, the row
 and the field with evetac's figure; a method names the module and the test that show it. What can be computed is
-computed here from the tables and from evetac_cli/evaluate/common/paper.py, and a test compares it with what is written.
+computed here from the tables and from evetac_cli/evaluate, and a test compares it with what is written.
 
 The verdict of a figure is the first of these that applies:
 
@@ -30,8 +30,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from evetac_cli.evaluate.common import paper
+from evetac_cli.evaluate.common import marks
 from evetac_cli.evaluate.common.source import Source
+from evetac_cli.evaluate.subjects import PAPER
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels import estimates
 
@@ -39,7 +40,7 @@ ROOT = Path(__file__).resolve().parents[1]
 ROWS = ROOT / "scripts" / "paper-rows.json"
 RESULTS = ROOT / "docs" / "results"
 INSIDE, DIRECTION, MISSED, NOT_APPLICABLE = "inside its spread", "right direction", "not reproduced", "not applicable"
-SAME, OTHER = paper.SAME, paper.METHOD
+SAME, OTHER = marks.SAME, marks.METHOD
 VERDICTS = (INSIDE, DIRECTION, MISSED, SAME, OTHER, NOT_APPLICABLE)
 NOT_YET = "no table yet"
 
@@ -81,20 +82,20 @@ def row_of(results: Path, table: str, select: Mapping[str, Any]) -> tuple[Row, R
     return found, rows[0]
 
 
-def published(entry: Row, results: Path = RESULTS) -> paper.PaperFigure | None:
+def published(entry: Row, results: Path = RESULTS) -> marks.PaperFigure | None:
     """Return the paper's figure of an entry, by its key or by the column next to evetac's figure.
 
     None for a statement without a figure.
     """
     if "figure" in entry:
-        return paper.FIGURES[tuple(entry["figure"])]
+        return PAPER.figures[tuple(entry["figure"])]
     if "column" not in entry:
         return None
     _, row = row_of(results, entry["table"], entry["row"])
-    missing = [name for name in paper.SHOWN[entry["column"]].needs if name not in row]
+    missing = [name for name in PAPER.columns[entry["column"]].needs if name not in row]
     if missing:
         raise Awaited(f"{entry['table']}: no field {', '.join(missing)}")
-    return paper.FIGURES[paper.SHOWN[entry["column"]].key(row)]
+    return PAPER.figures[PAPER.columns[entry["column"]].key(row)]
 
 
 def ours(entry: Row, rows: Mapping[str, Row], results: Path = RESULTS, *, need_interval: bool = True) -> Ours:
@@ -106,8 +107,8 @@ def ours(entry: Row, rows: Mapping[str, Row], results: Path = RESULTS, *, need_i
         ((how, (above, below)),) = entry["derived"].items()
         first, second = (ours(rows[number], rows, results, need_interval=False) for number in (above, below))
         ratio = first.value / second.value
-        marks = [one.mark for one in (first, second) if one.mark is not None]
-        mark = min(marks, key=paper.MARKS.index, default=None)
+        both = [one.mark for one in (first, second) if one.mark is not None]
+        mark = min(both, key=marks.MARKS.index, default=None)
         return Ours(ratio if how == "ratio" else 1 - ratio, mark=mark)
     result, row = row_of(results, entry["table"], entry["row"])
     if row.get(entry["field"]) is None:
@@ -121,11 +122,11 @@ def _mark(entry: Row, row: Row, result: Row) -> str | None:
     if "column" not in entry:
         return None
     source = Source.from_json(result.get("sources", {}).get(row.get("evaluation")) or result.get("source", {}))
-    column = paper.SHOWN[entry["column"]]
+    column = PAPER.columns[entry["column"]]
     if any(name not in row for name in column.needs):
         return None
-    figure = paper.FIGURES[column.key(row)]
-    return paper.mark(figure, column.ours(row, source), simulated=source.simulated)
+    figure = PAPER.figures[column.key(row)]
+    return marks.mark(figure, column.ours(row, source), simulated=source.simulated)
 
 
 def _interval(entry: Row, row: Row, *, need_interval: bool) -> tuple[float | None, float | None]:
@@ -198,7 +199,7 @@ def computed(entry: Row, rows: Mapping[str, Row], results: Path = RESULTS) -> Ro
     return {**found, "interval": ends, "mark": mine.mark, "verdict": verdict}
 
 
-def _verdict(entry: Row, mine: Ours, figure: paper.PaperFigure | None, rows: Mapping[str, Row], results: Path) -> str:
+def _verdict(entry: Row, mine: Ours, figure: marks.PaperFigure | None, rows: Mapping[str, Row], results: Path) -> str:
     if figure is not None:
         spread, value = (figure.spread, mine.value) if figure.spread is not None else (mine[1:3], figure.value)
         low, high = spread
@@ -245,7 +246,7 @@ def needed(table: str) -> set[str]:
         for claim in entry.get("direction", []):
             fields |= {*claim.get("select", {}), *([claim["field"]] if "field" in claim else [])}
         if "column" in entry:
-            column = paper.SHOWN[entry["column"]]
+            column = PAPER.columns[entry["column"]]
             fields |= {*column.needs, *column.may_need}
     return fields
 

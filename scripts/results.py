@@ -34,9 +34,9 @@ import paper_page
 import run_facts
 from summary_rows import SUMMARY
 
-from evetac_cli.commands import WITH_CONFIG
-from evetac_cli.evaluate.common import paper
+from evetac_cli.cli.config import with_config
 from evetac_cli.evaluate.common.source import Source
+from evetac_cli.evaluate.subjects import PAPER
 from evetac_cli.jobs import Row
 
 Result = dict[str, Any]
@@ -59,7 +59,7 @@ OF_SCRIPTS = {
 }
 MOST_ROWS = 10  # of a table that a page shows unfolded
 # The module that defines METHOD, the method version, of each command.
-MODULES = {name: command.module for name, command in WITH_CONFIG.items()}
+MODULES = {name: command.module for name, command in with_config().items()}
 MODULES["train-force --method touch"] = "stages.force.adapt_touch"
 
 
@@ -81,7 +81,7 @@ def fill(template: str, row: Row) -> str:
 def published(column: Row, row: Row, result: Result) -> tuple[str, str]:
     """Return the paper's figures for a cell and their comparison mark, both empty if the paper has none."""
     source = Source.from_json(result.get("sources", {}).get(row.get("evaluation")) or result.get("source", {}))
-    known = {key: beside for key in keys(column.get("paper", "")) if (beside := paper.beside(key, row, source))}
+    known = {key: beside for key in keys(column.get("paper", "")) if (beside := PAPER.beside(key, row, source))}
     if not known:
         return "", ""
     (mark,) = {beside.mark for beside in known.values()}  # figures of one row and column share their mark

@@ -106,7 +106,7 @@ def fit_faults(
 ) -> Iterator[str]:
     """Yield, in words, figures of the paper and public facts that are fitted and named by no group, or the reverse.
 
-    figures: paper.FIGURES; facts: those of likeness.toml.
+    figures: PAPER.figures; facts: those of likeness.toml.
     """
     groups = list(groups)
     starts = [(group["name"], tuple(start)) for group in groups for start in group.get("paper", [])]

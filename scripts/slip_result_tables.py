@@ -74,9 +74,9 @@ def timing_rows(evaluations: Evaluations) -> Rows:
 
 def setting_share(bin_: str, object_: str) -> float | None:
     """Return the paper's share of first detections in a bin, over all objects; None if it has none."""
-    from evetac_cli.evaluate.common import paper
+    from evetac_cli.evaluate.subjects import PAPER
 
-    return paper.value(bin_, "unseen", MODEL, HORIZON_MS) if object_ == ALL else None
+    return PAPER.value(bin_, "unseen", MODEL, HORIZON_MS) if object_ == ALL else None
 
 
 def _is_within(late_by_ms: int | None, low: float, high: float) -> bool:

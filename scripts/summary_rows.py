@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from evetac_cli.evaluate.common import paper
+from evetac_cli.evaluate.data_rate.paper import COLUMNS
 from evetac_cli.jobs import Row
 
 
@@ -36,7 +36,7 @@ SUMMARY = (
         {"method": "paper", "tone": "all", "window_s": 1.0}, "{window_s:g} s", "{windows} windows",
     ),
     Figure(
-        f"bytes per second over an RGB sensor's, {{columns}} columns (paper: {paper.COLUMNS})", "data-rate",
+        f"bytes per second over an RGB sensor's, {{columns}} columns (paper: {COLUMNS})", "data-rate",
         {"object": 1, "interval": "whole"}, "share (paper)", "{trajectories} trials",
     ),
     Figure(

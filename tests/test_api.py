@@ -16,9 +16,9 @@ import pytest
 
 import evetac_cli as evetac
 from evetac_cli import api
-from evetac_cli.commands.evaluate import EvaluateLabels
 from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.commands.record import Record
+from evetac_cli.evaluate.labels import EvaluateLabels
 from evetac_cli.evaluate.labels import measure as labels
 from evetac_cli.resources import PACKAGE
 from evetac_cli.stages.touch import predict_touch

@@ -18,7 +18,6 @@ from evetac_cli import resources
 from evetac_cli.cli import flags
 from evetac_cli.commands import (
     DOCTOR,
-    EVALUATE,
     EXPORT,
     PIPELINE,
     REPORT,
@@ -27,6 +26,7 @@ from evetac_cli.commands import (
 )
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
+from evetac_cli.evaluate.subjects import SUBJECTS
 from evetac_cli.formats.read.column_times import UNITS, ColumnTimes
 from evetac_cli.formats.write.lerobot import event_stacks, write_lerobot
 from evetac_cli.kernels.event_representation import Representation
@@ -43,7 +43,7 @@ from evetac_cli.trials.record import capture_plan
 
 ROOT = Path(__file__).parents[1]
 COMMANDS = {command.name: command for command in (*PIPELINE, VIEW, EXPORT, DOCTOR, SHARE, REPORT)}
-COMMANDS |= {f"evaluate {command.name}": command for command in EVALUATE}
+COMMANDS |= {f"evaluate {command.name}": command for command in SUBJECTS}
 
 
 def _shipped() -> str:

@@ -22,7 +22,7 @@ GROUND = frozenset(
     | {"resources", "text_files"}
 )
 MAY_IMPORT: dict[str, frozenset[str]] = {
-    "cli": GROUND | {"store", "kernels"},
+    "cli": GROUND | {"evaluate", "store", "kernels"},
     "api": GROUND | {"evaluate", "trials", "stages", "devices", "store", "sim", "kernels"},
     "testing": GROUND | {"devices", "formats", "store", "sim", "kernels"},
     "gym": GROUND | {"trials", "stages", "devices", "store", "sim", "kernels"},

@@ -8,7 +8,6 @@ import pytest
 from numpy.typing import NDArray
 
 from evetac_cli.commands.calibrate import Calibrate
-from evetac_cli.commands.evaluate import EvaluateForce
 from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.label import Label
@@ -18,6 +17,7 @@ from evetac_cli.commands.track import Track
 from evetac_cli.commands.train import Train
 from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate.force import EvaluateForce
 from evetac_cli.evaluate.force import measure as evaluate_force
 from evetac_cli.inspect import info
 from evetac_cli.resources import SCENES

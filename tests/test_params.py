@@ -7,19 +7,21 @@ from typing import Any, get_args, get_type_hints
 
 import pytest
 
-from evetac_cli.cli.config import resolve
-from evetac_cli.commands import EVALUATE, PIPELINE, WITH_CONFIG
+from evetac_cli.cli.config import resolve, with_config
+from evetac_cli.commands import PIPELINE
 from evetac_cli.commands.doctor import Doctor
-from evetac_cli.commands.evaluate import EvaluateLabels, EvaluateSlip
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.parameter import flag_of, recipe_of
 from evetac_cli.commands.record import Record
 from evetac_cli.commands.track import Track
 from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate.labels import EvaluateLabels
+from evetac_cli.evaluate.slip import EvaluateSlip
+from evetac_cli.evaluate.subjects import SUBJECTS
 
 EVERY = {command.name: command.params for command in PIPELINE}
-EVERY |= {f"evaluate {command.name}": command.params for command in EVALUATE}
+EVERY |= {f"evaluate {command.name}": command.params for command in SUBJECTS}
 ALL_FIELDS = [(command, item) for command, cls in EVERY.items() for item in dataclasses.fields(cls)]
 ENDS = [(command, item, end) for command, item in ALL_FIELDS for end in ("low", "high")]
 RANGED = [(command, item, end) for command, item, end in ENDS if item.metadata[end] is not None]
@@ -50,7 +52,7 @@ def test_defaults_are_valid(command: str) -> None:
 
 def test_every_command_has_a_table() -> None:
     """Assert that a config file can have a table for each command, and for no other."""
-    assert set(EVERY) == set(WITH_CONFIG)
+    assert set(EVERY) == set(with_config())
 
 
 def test_flag_beats_config_beats_default(tmp_path: Path) -> None:

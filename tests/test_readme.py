@@ -16,7 +16,7 @@ import pytest
 import typer
 
 from evetac_cli.cli.main import app
-from evetac_cli.evaluate.common.paper import MARKS
+from evetac_cli.evaluate.common.marks import MARKS
 from evetac_cli.store.layout import schema
 from evetac_cli.trials.record import simulated
 
@@ -155,7 +155,7 @@ def unlike_the_paper(result: dict[str, Any]) -> list[str]:
     for row in result["rows"]:
         for column in (*result["columns"], *([result["across"]] if result["across"] else [])):
             names = results.keys(column.get("paper", ""))
-            if not set(names) <= results.paper.SHOWN.keys() or re.sub(r"{.*?}|sd|[,% ]", "", column.get("paper", "")):
+            if not set(names) <= results.PAPER.columns.keys() or re.sub(r"{.*?}|sd|[,% ]", "", column.get("paper", "")):
                 found.append(f"{column['heading']}: {column['paper']}")
                 continue
             stored = results.fill(column.get("paper", ""), row)

@@ -12,21 +12,23 @@ from typer.testing import CliRunner
 
 import evetac_cli as evetac
 from evetac_cli.cli.main import app
-from evetac_cli.commands import EVALUATE, EXPORT, PIPELINE, VIEW
-from evetac_cli.commands.evaluate import EvaluateCost, EvaluateSlip
+from evetac_cli.commands import EXPORT, PIPELINE, VIEW
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate.benchmark import own_methods
+from evetac_cli.evaluate.cost import EvaluateCost
 from evetac_cli.evaluate.cost import command as cost
+from evetac_cli.evaluate.slip import EvaluateSlip
 from evetac_cli.evaluate.slip import measure as slip
+from evetac_cli.evaluate.subjects import SUBJECTS
 from evetac_cli.resources import MODEL, SHIPPED, model_file, with_shipped
 from evetac_cli.stages import train
 from evetac_cli.trials.grasp.settings import GraspSettings
 from tests.conftest import Made
 
 COMMANDS = {command.name: command for command in (*PIPELINE, VIEW, EXPORT)}
-COMMANDS |= {f"evaluate {command.name}": command for command in EVALUATE}
+COMMANDS |= {f"evaluate {command.name}": command for command in SUBJECTS}
 # Parameters that name a slip detector's file; `train --model` names an architecture, and of forces there is no model.
 TAKES_A_MODEL = [
     (name, item)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli import plugins
-from evetac_cli.commands.parameter import flag_of, key_of
+from evetac_cli.commands.parameter import Command, flag_of, key_of
 from evetac_cli.errors import InputError, did_you_mean
 from evetac_cli.text_files import plain_number, read_toml
 
@@ -33,13 +33,19 @@ def resolve(cls: type, command: str, flag_values: Mapping[str, Any], config: Pat
     return params
 
 
-def _read_config(path: Path, cls: type, command: str) -> dict[str, Any]:
-    from evetac_cli.commands import WITH_CONFIG  # here, as all commands are imported for it
+def with_config() -> dict[str, Command]:
+    """Return the commands that have a table in a config file, such as [track] or [evaluate.slip], by name."""
+    from evetac_cli.commands import PIPELINE  # here, as all commands are imported for it
+    from evetac_cli.evaluate.subjects import SUBJECTS
 
+    return {command.name: command for command in PIPELINE} | {f"evaluate {one.name}": one for one in SUBJECTS}
+
+
+def _read_config(path: Path, cls: type, command: str) -> dict[str, Any]:
     table = read_toml(path)
     words = command.split()
     for depth, word in enumerate(words):
-        tables = {name.split()[depth] for name in WITH_CONFIG if name.split()[:depth] == words[:depth]}
+        tables = {name.split()[depth] for name in with_config() if name.split()[:depth] == words[:depth]}
         for key in table:
             if key not in tables:
                 raise _unknown("table", key, sorted(tables), where=str(path))

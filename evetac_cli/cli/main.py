@@ -215,8 +215,13 @@ def _add_evaluate(app: typer.Typer) -> None:
     judging = typer.Typer(
         cls=flags.Group, help="Evaluate results: numbers, tables, plots and a report file.", no_args_is_help=True
     )
-    for command in commands.EVALUATE:
-        _add(judging, command, f"evaluate {command.name}", "Subjects")
+    from evetac_cli.evaluate.subject import PANELS  # here, as all subjects are imported for it
+    from evetac_cli.evaluate.subjects import SUBJECTS
+
+    for panel in PANELS:
+        for subject in SUBJECTS:
+            if subject.panel == panel:
+                _add(judging, subject, f"evaluate {subject.name}", panel)
     app.add_typer(judging, name="evaluate", rich_help_panel="Pipeline")
 
 

@@ -29,15 +29,12 @@ OF_PIPELINE = (
 )
 # Built on first access.
 PIPELINE: tuple[Command, ...]
-EVALUATE: tuple[Command, ...]
 # Commands whose output is for people; built at each access.
 VIEW: Command
 EXPORT: Command
 DOCTOR: Command
 SHARE: Command
 REPORT: Command
-# Commands with a table in a config file, such as [track] or [evaluate.slip].
-WITH_CONFIG: dict[str, Command]
 
 
 def find(name: str) -> Command:
@@ -55,21 +52,8 @@ def _pipeline() -> tuple[Command, ...]:
     return tuple(map(find, OF_PIPELINE))
 
 
-def _evaluate() -> tuple[Command, ...]:
-    found: tuple[Command, ...] = _module("evaluate").COMMANDS
-    return found
-
-
-@cache
-def _with_config() -> dict[str, Command]:
-    by_name = {command.name: command for command in _pipeline()}
-    return by_name | {f"evaluate {command.name}": command for command in _evaluate()}
-
-
 _MADE: dict[str, Callable[[], Any]] = {
     "PIPELINE": _pipeline,
-    "EVALUATE": _evaluate,
-    "WITH_CONFIG": _with_config,
     **{name.upper(): partial(find, name) for name in ("view", "export", "doctor", "share", "report")},
 }
 

@@ -10,9 +10,10 @@ import typer
 from page_text import bounds, code, fenced, prose, sentence, table
 
 from evetac_cli import commands
+from evetac_cli.cli.config import with_config
 from evetac_cli.cli.main import app
-from evetac_cli.commands import WITH_CONFIG
 from evetac_cli.errors import DeviceError, EvetacError, InputError
+from evetac_cli.evaluate.subjects import SUBJECTS
 
 FOLDER = "commands"
 UNNAMED_PANEL = "Options"
@@ -95,7 +96,7 @@ def _page(name: str, command: Any) -> str:
         panels.setdefault(panel, []).append(_option(param, known.get(param.name)))
     for panel, rows in panels.items():
         parts += [f"## {panel}\n", table(("option", "what it does", "values", "default"), rows)]
-    if name in WITH_CONFIG:
+    if name in with_config():
         parts.append(_in_a_file(name))
     return "\n".join(parts)
 
@@ -127,7 +128,7 @@ def _help(command: Any) -> tuple[list[str], list[str]]:
 def _parameters(name: str) -> dict[str, Field[Any]]:
     """Return the parameters of a command by name, if the command is made from a dataclass."""
     group, _, last = name.rpartition(" ")
-    listed = commands.EVALUATE if group == "evaluate" else _of_no_group()
+    listed = SUBJECTS if group == "evaluate" else _of_no_group()
     return {item.name: item for command in listed if command.name == last for item in fields(command.params)}
 
 

@@ -13,7 +13,6 @@ from typer.testing import CliRunner, Result
 from evetac_cli.cli.main import app
 from evetac_cli.commands import (
     DOCTOR,
-    EVALUATE,
     EXPORT,
     PIPELINE,
     REPORT,
@@ -21,10 +20,11 @@ from evetac_cli.commands import (
     VIEW,
     Command,
 )
+from evetac_cli.evaluate.subjects import SUBJECTS
 from tests.conftest import Made
 
 COMMANDS = [([command.name], command) for command in (*PIPELINE, VIEW, EXPORT, DOCTOR)]
-COMMANDS += [(["evaluate", command.name], command) for command in EVALUATE]
+COMMANDS += [(["evaluate", command.name], command) for command in SUBJECTS]
 IDS = [" ".join(path) for path, _ in COMMANDS]
 SCREEN = {"COLUMNS": "80", "TERM": "dumb", "NO_COLOR": "1"}
 LINES = 60

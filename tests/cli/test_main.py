@@ -21,7 +21,7 @@ from evetac_cli import __version__
 from evetac_cli.cli import execution
 from evetac_cli.cli.flags import Running
 from evetac_cli.cli.main import app
-from evetac_cli.commands import EVALUATE, PIPELINE
+from evetac_cli.commands import PIPELINE
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.parameter import Command, flag_of
 from evetac_cli.errors import (
@@ -36,13 +36,14 @@ from evetac_cli.errors import (
     error_dict,
     install_hint,
 )
+from evetac_cli.evaluate.subjects import SUBJECTS
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.stages import per_file
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.layout.provenance import Recipe
 
 COMMANDS = [([command.name], command) for command in PIPELINE]
-COMMANDS += [(["evaluate", command.name], command) for command in EVALUATE]
+COMMANDS += [(["evaluate", command.name], command) for command in SUBJECTS]
 
 
 def evetac(*arguments: str | Path) -> Result:

@@ -5,10 +5,13 @@ from typing import Any
 
 import pytest
 
-from evetac_cli.commands.evaluate import EvaluateDataRate, EvaluateGrasp, EvaluateLabels, EvaluateTracking
+from evetac_cli.evaluate.data_rate import EvaluateDataRate
 from evetac_cli.evaluate.data_rate import measure as data_rate
+from evetac_cli.evaluate.grasp import EvaluateGrasp
 from evetac_cli.evaluate.grasp import measure as grasp
+from evetac_cli.evaluate.labels import EvaluateLabels
 from evetac_cli.evaluate.labels import measure as labels
+from evetac_cli.evaluate.tracking import EvaluateTracking
 from evetac_cli.evaluate.tracking import measure as tracking
 from evetac_cli.store.recordings.slip_grid import COLUMN, NODES
 from tests.conftest import Made

@@ -10,15 +10,15 @@ import pytest
 from typer.testing import CliRunner
 
 from evetac_cli.cli import main
-from evetac_cli.commands.evaluate import EvaluateCost, EvaluateStability
 from evetac_cli.console import plain
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.rows import Extent, draw_panel
+from evetac_cli.evaluate.cost import EvaluateCost
 from evetac_cli.evaluate.cost import camera as camera_cost
 from evetac_cli.evaluate.cost import command as cost
 from evetac_cli.evaluate.cost import simulator as simulator_cost
-from evetac_cli.evaluate.stability import bounds
+from evetac_cli.evaluate.stability import EvaluateStability, bounds
 from evetac_cli.evaluate.stability import command as stability
 from evetac_cli.evaluate.stability import gel as gel_stability
 from evetac_cli.evaluate.stability import simulator as simulator_stability

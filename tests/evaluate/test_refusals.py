@@ -7,13 +7,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.commands import evaluate as flags
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate.cost import EvaluateCost
 from evetac_cli.evaluate.cost import command as cost
+from evetac_cli.evaluate.data_rate import EvaluateDataRate
 from evetac_cli.evaluate.data_rate import measure as data_rate
+from evetac_cli.evaluate.grasp import EvaluateGrasp
 from evetac_cli.evaluate.grasp import measure as grasp
+from evetac_cli.evaluate.realism import EvaluateRealism
 from evetac_cli.evaluate.realism import measure as realism
+from evetac_cli.evaluate.slip import EvaluateSlip
 from evetac_cli.evaluate.slip import measure as slip
+from evetac_cli.evaluate.vibration import EvaluateVibration
 from evetac_cli.evaluate.vibration import measure as vibration
 from tests.make import event_arrays, events_at, run_stage, write_recording
 
@@ -25,23 +30,23 @@ WINDOWS = ("", "x", "0.05", "11", "1,,2", "nan", "-1")
 @pytest.mark.parametrize(
     ("stage", "names", "params", "place"),
     [
-        (data_rate, "a", flags.EvaluateDataRate(rgb_frame="540x480"), "--rgb-frame"),
-        (data_rate, "a", flags.EvaluateDataRate(rgb_frame="0x480x3"), "--rgb-frame"),
-        (data_rate, "empty", flags.EvaluateDataRate(), "empty"),
-        *((vibration, "a", flags.EvaluateVibration(windows=text), "--windows") for text in WINDOWS),
-        (vibration, "a", flags.EvaluateVibration(rate=100, lowest_hz=50.0), "--lowest-hz"),
-        (vibration, "short", flags.EvaluateVibration(), "short"),
-        (realism, "a", flags.EvaluateRealism(), ""),
-        (realism, "a a", flags.EvaluateRealism(), "a"),
-        (realism, "a b", flags.EvaluateRealism(), "b"),  # other frames
-        (realism, "a short", flags.EvaluateRealism(), "a"),  # no phase in common
-        (grasp, "a", flags.EvaluateGrasp(), "a"),
-        (slip, "", flags.EvaluateSlip(), "--model"),
-        (cost, "a", flags.EvaluateCost(part="label"), "evaluate cost label"),
-        (cost, "a", flags.EvaluateCost(part="grasp"), "evaluate cost grasp"),
-        (cost, "", flags.EvaluateCost(part="track", model=Path("a.model.h5")), "evaluate cost track"),
-        (cost, "", flags.EvaluateCost(part="track", trials=3), "--trials"),
-        (cost, "", flags.EvaluateCost(part="model", trials=3), "--trials"),
+        (data_rate, "a", EvaluateDataRate(rgb_frame="540x480"), "--rgb-frame"),
+        (data_rate, "a", EvaluateDataRate(rgb_frame="0x480x3"), "--rgb-frame"),
+        (data_rate, "empty", EvaluateDataRate(), "empty"),
+        *((vibration, "a", EvaluateVibration(windows=text), "--windows") for text in WINDOWS),
+        (vibration, "a", EvaluateVibration(rate=100, lowest_hz=50.0), "--lowest-hz"),
+        (vibration, "short", EvaluateVibration(), "short"),
+        (realism, "a", EvaluateRealism(), ""),
+        (realism, "a a", EvaluateRealism(), "a"),
+        (realism, "a b", EvaluateRealism(), "b"),  # other frames
+        (realism, "a short", EvaluateRealism(), "a"),  # no phase in common
+        (grasp, "a", EvaluateGrasp(), "a"),
+        (slip, "", EvaluateSlip(), "--model"),
+        (cost, "a", EvaluateCost(part="label"), "evaluate cost label"),
+        (cost, "a", EvaluateCost(part="grasp"), "evaluate cost grasp"),
+        (cost, "", EvaluateCost(part="track", model=Path("a.model.h5")), "evaluate cost track"),
+        (cost, "", EvaluateCost(part="track", trials=3), "--trials"),
+        (cost, "", EvaluateCost(part="model", trials=3), "--trials"),
     ],
 )
 def test_refused(stage: Any, names: str, params: Any, place: str, tmp_path: Path) -> None:
@@ -60,5 +65,5 @@ def test_refused(stage: Any, names: str, params: Any, place: str, tmp_path: Path
 
 def test_every_part_is_a_choice() -> None:
     """Assert that the table of parts holds those that the command accepts, no more and no fewer."""
-    (part,) = (item for item in fields(flags.EvaluateCost) if item.name == "part")
+    (part,) = (item for item in fields(EvaluateCost) if item.name == "part")
     assert tuple(cost.PARTS) == part.metadata["choices"]

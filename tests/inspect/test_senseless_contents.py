@@ -12,7 +12,6 @@ import h5py
 import numpy as np
 import pytest
 
-from evetac_cli.commands.evaluate import EvaluateLabels, EvaluateSlip, EvaluateTracking
 from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.predict_touch import PredictTouch
@@ -20,8 +19,11 @@ from evetac_cli.commands.track import Track
 from evetac_cli.commands.track_rgb import TrackRgb
 from evetac_cli.commands.trim import Trim
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate.labels import EvaluateLabels
 from evetac_cli.evaluate.labels import measure as evaluate_labels
+from evetac_cli.evaluate.slip import EvaluateSlip
 from evetac_cli.evaluate.slip import measure as evaluate_slip
+from evetac_cli.evaluate.tracking import EvaluateTracking
 from evetac_cli.evaluate.tracking import measure as evaluate_tracking
 from evetac_cli.inspect import validate
 from evetac_cli.stages import featurize, label, track, track_rgb, trim

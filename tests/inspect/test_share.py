@@ -16,10 +16,10 @@ import pytest
 from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
-from evetac_cli.commands.evaluate import EvaluateSlip
 from evetac_cli.commands.share import Share
 from evetac_cli.console import format_value
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate.slip import EvaluateSlip
 from evetac_cli.evaluate.slip import measure as slip
 from evetac_cli.formats.write.hub_card import inline
 from evetac_cli.inspect import share

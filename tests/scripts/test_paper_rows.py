@@ -15,8 +15,11 @@ import paper_rows
 from experiments import EXPERIMENTS
 
 from evetac_cli.commands.grasp import Grasp
-from evetac_cli.evaluate.common import paper
+from evetac_cli.evaluate.common import marks
 from evetac_cli.evaluate.common.source import Source
+from evetac_cli.evaluate.grasp.paper import BALANCE_S, LIFT_S
+from evetac_cli.evaluate.slip.paper import SEEDS, TRAINED_ON
+from evetac_cli.evaluate.subjects import PAPER
 
 ROOT = paper_rows.ROOT
 CONTENT = paper_rows.read()
@@ -44,8 +47,8 @@ def test_what_is_written_is_what_is_computed() -> None:
 def test_a_change_by_hand_is_noticed(key: str) -> None:
     """Assert that a digit, a mark or a verdict changed by hand differs from what is computed."""
     changed = copy.deepcopy(CONTENT)
-    entry = next(one for one in changed["rows"] if one["computed"].get("mark") == paper.SIZE)
-    entry["computed"][key] = {"ours": entry["computed"]["ours"] + 0.01, "mark": paper.SAME, "verdict": "reproduced"}[
+    entry = next(one for one in changed["rows"] if one["computed"].get("mark") == marks.SIZE)
+    entry["computed"][key] = {"ours": entry["computed"]["ours"] + 0.01, "mark": marks.SAME, "verdict": "reproduced"}[
         key
     ]
     assert paper_rows.filled(changed) != changed
@@ -59,7 +62,7 @@ def test_marks_are_those_of_the_tables() -> None:
             continue
         result, row = paper_rows.row_of(paper_rows.RESULTS, one["table"], one["row"])
         source = Source.from_json(result.get("sources", {}).get(row.get("evaluation")) or result["source"])
-        if beside := paper.beside(one["column"], row, source):
+        if beside := PAPER.beside(one["column"], row, source):
             assert (beside.value, beside.mark) == (one["computed"]["paper"], one["computed"]["mark"]), one["number"]
             compared += 1
     assert compared > 0
@@ -73,7 +76,7 @@ def test_figures_have_tables() -> None:
     derived = [one for one in FIGURES if set(*one.get("derived", {0: [""]}).values()) <= numbers]
     assert len(with_table) + len(derived) >= 0.95 * len(FIGURES)
     for one in FIGURES:
-        assert one.get("column", "paper_success") in paper.SHOWN, one["number"]
+        assert one.get("column", "paper_success") in PAPER.columns, one["number"]
         assert {claim["row"] for claim in one.get("direction", []) if "row" in claim} <= numbers, one["number"]
 
 
@@ -132,8 +135,8 @@ def test_a_figure_inside_the_papers_spread(tables: Path, monkeypatch: pytest.Mon
         (0.81, {}, paper_rows.INSIDE),
         (0.79, {}, paper_rows.MISSED),
     ):
-        figure = paper.PaperFigure(value, "share", "a table", paper.Conditions("", "", ()), **about)  # type: ignore[arg-type]
-        monkeypatch.setitem(paper.FIGURES, ("test",), figure)
+        figure = marks.PaperFigure(value, "share", "a table", marks.Conditions("", "", ()), **about)  # type: ignore[arg-type]
+        monkeypatch.setitem(PAPER.figures, ("test",), figure)
         assert verdict(entry("good", figure=["test"]), tables) == expected, (value, about)
 
 
@@ -178,7 +181,7 @@ def test_the_recipe_has_the_papers_sizes() -> None:
     known, unseen = (len(range(*map(int, sizes[name].split("-")))) + 1 for name in ("known", "unseen"))
     assert (known * sizes["train"], known * sizes["choose"]) == (315, 45)
     assert (known * sizes["test"], unseen * sizes["test"]) == (90, 80)
-    assert sizes["seeds"] == paper.SEEDS and known * (sizes["train"] + sizes["choose"]) == paper.TRAINED_ON
+    assert sizes["seeds"] == SEEDS and known * (sizes["train"] + sizes["choose"]) == TRAINED_ON
 
 
 def test_the_recipe_has_the_papers_method() -> None:
@@ -198,7 +201,7 @@ def test_the_papers_labels_have_figures() -> None:
 
 def test_grasps_have_the_papers_sizes() -> None:
     """Assert durations, trials, objects and detector of the table of grasps."""
-    assert (Grasp().lift_s, Grasp().balance_s) == (paper.LIFT_S, paper.BALANCE_S)
+    assert (Grasp().lift_s, Grasp().balance_s) == (LIFT_S, BALANCE_S)
     (experiment,) = (one for one in EXPERIMENTS if one.name == "grasp-table")
     assert (experiment.full["trials"], experiment.full["alone"], experiment.full["objects"]) == (10, 5, "10-18")
     assert "fast-slow-10ms" in " ".join(experiment_steps.GRASP_SETTINGS["paper"])

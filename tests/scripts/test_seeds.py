@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from evetac_cli.evaluate.common import paper
+from evetac_cli.evaluate.subjects import PAPER
 from evetac_cli.resources import PACKAGE
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
@@ -33,7 +33,7 @@ def test_no_table_reports_seeds_that_its_constants_saw() -> None:
 
 def test_what_was_fitted_is_named_by_its_constants() -> None:
     """Assert that every fitted figure of the paper and every fact used to fit is in a group, and the reverse."""
-    assert list(fit_faults(SEEN["groups"], paper.FIGURES, FACTS)) == []
+    assert list(fit_faults(SEEN["groups"], PAPER.figures, FACTS)) == []
 
 
 def group_with(**changed: Any) -> dict[str, Any]:
@@ -67,12 +67,12 @@ def test_a_broken_rule_is_found(group: dict[str, Any], table: dict[str, Any], fa
 def test_a_fit_that_is_not_named_is_found() -> None:
     """Assert that a figure or fact is found if its group is missing, or if only the group says that it is fitted."""
     without = [group for group in SEEN["groups"] if group["name"] != "edge scene"]
-    found = " ".join(fit_faults(without, paper.FIGURES, FACTS))
+    found = " ".join(fit_faults(without, PAPER.figures, FACTS))
     assert "('consistent', 'paper')" in found and "tracked-regularised" in found
-    plain = {**paper.FIGURES, ("consistent", "paper"): replace(paper.FIGURES["consistent", "paper"], fitted_in="")}
+    plain = {**PAPER.figures, ("consistent", "paper"): replace(PAPER.figures["consistent", "paper"], fitted_in="")}
     assert "has no `fitted_in`" in " ".join(fit_faults(SEEN["groups"], plain, FACTS))
     other = group_with(name="other", paper=[["nothing"]], likeness=["lost-regularised"])
-    found = " ".join(fit_faults([*SEEN["groups"], other], paper.FIGURES, FACTS))
+    found = " ".join(fit_faults([*SEEN["groups"], other], PAPER.figures, FACTS))
     assert "no figure of the paper" in found and "`lost-regularised`, which is not used to fit" in found
 
 
@@ -87,7 +87,7 @@ def test_groups_name_what_there_is(group: dict[str, Any]) -> None:
     """Assert that the module of a group exists, and that seeds which are not known are said to be so."""
     assert (PACKAGE / group["module"].partition(" before ")[0]).exists()
     assert bool(group["seeds"]) != bool(group.get("why_unknown"))
-    assert all(tuple(key) in paper.FIGURES for key in group.get("near", []))
+    assert all(tuple(key) in PAPER.figures for key in group.get("near", []))
 
 
 def test_seeds_that_modules_state_are_in_the_file() -> None:

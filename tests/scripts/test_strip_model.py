@@ -7,8 +7,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from evetac_cli.commands.evaluate import EvaluateSlip
 from evetac_cli.commands.grasp import Grasp
+from evetac_cli.evaluate.slip import EvaluateSlip
 from evetac_cli.evaluate.slip import measure as slip
 from evetac_cli.evaluate.slip.models import Model, check, predict_all
 from evetac_cli.jobs import silent

@@ -19,19 +19,8 @@ import h5py
 import numpy as np
 import pytest
 
-from evetac_cli.commands import WITH_CONFIG
+from evetac_cli.cli.config import with_config
 from evetac_cli.commands.attach import Attach
-from evetac_cli.commands.evaluate import (
-    EvaluateDataRate,
-    EvaluateForce,
-    EvaluateGrasp,
-    EvaluateLabels,
-    EvaluateLikeness,
-    EvaluateRealism,
-    EvaluateSlip,
-    EvaluateTracking,
-    EvaluateVibration,
-)
 from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.label import Label
@@ -44,14 +33,23 @@ from evetac_cli.commands.train import Train
 from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.commands.trim import Trim
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate.data_rate import EvaluateDataRate
 from evetac_cli.evaluate.data_rate import measure as evaluate_data_rate
+from evetac_cli.evaluate.force import EvaluateForce
 from evetac_cli.evaluate.force import measure as evaluate_force
+from evetac_cli.evaluate.grasp import EvaluateGrasp
 from evetac_cli.evaluate.grasp import measure as evaluate_grasp
+from evetac_cli.evaluate.labels import EvaluateLabels
 from evetac_cli.evaluate.labels import measure as evaluate_labels
+from evetac_cli.evaluate.likeness import EvaluateLikeness
 from evetac_cli.evaluate.likeness import command as evaluate_likeness
+from evetac_cli.evaluate.realism import EvaluateRealism
 from evetac_cli.evaluate.realism import measure as evaluate_realism
+from evetac_cli.evaluate.slip import EvaluateSlip
 from evetac_cli.evaluate.slip import measure as evaluate_slip
+from evetac_cli.evaluate.tracking import EvaluateTracking
 from evetac_cli.evaluate.tracking import measure as evaluate_tracking
+from evetac_cli.evaluate.vibration import EvaluateVibration
 from evetac_cli.evaluate.vibration import measure as evaluate_vibration
 from evetac_cli.inspect import validate
 from evetac_cli.resources import PACKAGE
@@ -381,7 +379,7 @@ def test_nothing_to_do_loads_no_kernel(stage: Stage, folder: Path, tmp_path: Pat
 
 def test_every_stage_takes_part() -> None:
     """Assert that no command that makes a stage file is missing here."""
-    assert {stage.name for stage in STAGES} == set(WITH_CONFIG) - {
+    assert {stage.name for stage in STAGES} == set(with_config()) - {
         "calibrate",
         "identify",
         "evaluate cost",

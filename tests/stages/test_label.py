@@ -7,10 +7,10 @@ import h5py
 import numpy as np
 import pytest
 
-from evetac_cli.commands.evaluate import EvaluateLabels
 from evetac_cli.commands.label import Label
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate.cost.labels import flow_constants
+from evetac_cli.evaluate.labels import EvaluateLabels
 from evetac_cli.evaluate.labels import measure as evaluate_labels
 from evetac_cli.events import Events, empty
 from evetac_cli.inspect import validate

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from evetac_cli import stages
-from evetac_cli.commands.evaluate import EvaluateTracking
 from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.label import Label
@@ -17,6 +16,7 @@ from evetac_cli.commands.track import Track
 from evetac_cli.commands.track_rgb import TrackRgb
 from evetac_cli.commands.trim import Trim
 from evetac_cli.devices import replay
+from evetac_cli.evaluate.tracking import EvaluateTracking
 from evetac_cli.evaluate.tracking import measure as tracking
 from evetac_cli.formats.exports import export
 from evetac_cli.formats.read import read_hdf5

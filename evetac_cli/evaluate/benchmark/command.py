@@ -5,10 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli import resources
-from evetac_cli.commands.evaluate import EvaluateBenchmark
 from evetac_cli.commands.parameter import flag_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.benchmark import data_set, scores
+from evetac_cli.evaluate.benchmark import EvaluateBenchmark, data_set, scores
 from evetac_cli.evaluate.common.report import own_report, report
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.store.layout.provenance import Header

@@ -16,7 +16,7 @@ from typing import Any
 
 from evetac_cli.console import safe
 from evetac_cli.errors import install_hint
-from evetac_cli.evaluate.common.paper import MARKS
+from evetac_cli.evaluate.common.marks import MARKS
 from evetac_cli.jobs import Outcome
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 

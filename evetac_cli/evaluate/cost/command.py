@@ -9,13 +9,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.report import own_report, report, report_job
 from evetac_cli.evaluate.common.rows import draw, size_in
-from evetac_cli.evaluate.cost import grasp, labels, models, pipeline, tracker
+from evetac_cli.evaluate.cost import EvaluateCost, grasp, labels, models, pipeline, tracker
 from evetac_cli.evaluate.cost import simulator as simulator_cost
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.store.files import header_of

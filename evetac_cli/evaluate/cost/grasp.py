@@ -20,11 +20,11 @@ import numpy as np
 
 from evetac_cli import resources
 from evetac_cli.arrays import Floats
-from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.devices import Rig
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.rows import Extent, collect, difference, finite_or_none, mean, run_times
+from evetac_cli.evaluate.cost import EvaluateCost
 from evetac_cli.evaluate.cost.short_grasps import GraspResult, ShortGrasp, ground_truth_detector, run_short_grasp
 from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.stages.related_files import named_files

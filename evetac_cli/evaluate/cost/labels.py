@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.commands.record import Record
 from evetac_cli.evaluate.common.rows import Extent, collect, difference, finite_or_none, run_times
+from evetac_cli.evaluate.cost import EvaluateCost
 from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.kernels.labelling import flow
 from evetac_cli.stages import label_methods

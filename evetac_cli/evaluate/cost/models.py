@@ -21,14 +21,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.common import paper, picture
+from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.rows import collect, run_times
+from evetac_cli.evaluate.cost import EvaluateCost
 from evetac_cli.evaluate.cost.tracker import DOTS_PX, rim_events
 from evetac_cli.evaluate.slip.measure import split_models
 from evetac_cli.evaluate.slip.models import Model
+from evetac_cli.evaluate.slip.paper import PAPER
 from evetac_cli.evaluate.slip.tables import group_by_setting
 from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, GEL_PX, OverImages
@@ -148,7 +149,7 @@ def _rows(candidates: Sequence[Candidate], seed: int) -> Iterator[Row]:
             rng = np.random.default_rng(seed)
             inference_us, step_us = timed(_inference(candidate, rng)), timed(_grasp_step(candidate, rng))
             times[candidate.build] = run_times(inference_us) | run_times(step_us, "step")
-        paper_ms = paper.value("inference", candidate.detector.architecture.name)
+        paper_ms = PAPER.value("inference", candidate.detector.architecture.name)
         yield {
             "setting": candidate.setting,
             "horizon_ms": candidate.horizon_ms,

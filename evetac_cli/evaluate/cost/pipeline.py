@@ -37,7 +37,6 @@ import numpy as np
 
 from evetac_cli import resources
 from evetac_cli.arrays import Flags, Floats
-from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.label import Label
@@ -56,6 +55,7 @@ from evetac_cli.evaluate.common.rows import (
     run_times,
     share_difference,
 )
+from evetac_cli.evaluate.cost import EvaluateCost
 from evetac_cli.evaluate.labels.measure import true_onsets
 from evetac_cli.evaluate.slip.models import Model, check, predict_all
 from evetac_cli.jobs import Progress, Row, Rows, silent

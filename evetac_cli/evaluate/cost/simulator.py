@@ -32,8 +32,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evetac_cli.arrays import Floats
-from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.evaluate.common.rows import Extent, SolverSetting, collect, line, run_times
+from evetac_cli.evaluate.cost import EvaluateCost
 from evetac_cli.evaluate.cost import camera as camera_cost
 from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.sim.gel import dots, gel

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
-from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.evaluate.common.rows import STILL, Extent, collect, run_times
+from evetac_cli.evaluate.cost import EvaluateCost
 from evetac_cli.evaluate.cost.camera import Workload, oscillation, play
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.jobs import Progress, Row, Rows

@@ -24,12 +24,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evetac_cli.commands.evaluate import EvaluateDataRate
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.common import paper, picture
+from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.report import report, report_job
 from evetac_cli.evaluate.common.rows import each, mean, sd
+from evetac_cli.evaluate.data_rate import EvaluateDataRate
+from evetac_cli.evaluate.data_rate.paper import COLUMNS, PAPER, SCENE
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.kernels.slip.covariates import TOUCH_N
@@ -44,7 +45,6 @@ from evetac_cli.store.recordings.slip_covariates import gel_counts
 
 OUTPUT = "report"
 METHOD = 4
-PAPERS_SCENE = "data-rate"  # grasp, hold, push, let slip: the motions of the paper's figures
 INTERVALS = ("whole", "contact", "slip")
 ALL = "all"  # in the column `object` of a row over all recordings
 SHOWN = 6  # most recordings in the plot
@@ -100,7 +100,7 @@ def run(job: Job, params: EvaluateDataRate, *, force: bool = False, progress: Pr
         shares = {f"share_{row['interval']}": row["share_mean"] for row in of_intervals}
         shares |= {f"trajectories_{row['interval']}": row["trajectories"] for row in of_intervals}
         shares |= {f"window_share_{row['interval']}": row["window_share_mean"] for row in of_intervals}
-        rgb = {"columns": paper.COLUMNS, "rgb_bytes_s": _rgb_bytes_s(params)}
+        rgb = {"columns": COLUMNS, "rgb_bytes_s": _rgb_bytes_s(params)}
         return [*rows, *of_intervals, *by_object], {"trajectories": len(rows), **shares, **rgb}
 
     outcome = report(job, "evaluate data-rate", METHOD, parameters, parents, measure, force=force)
@@ -121,7 +121,7 @@ def for_people(rows: Rows, params: EvaluateDataRate) -> tuple[Rows, list[str]]:
     ]
     if all(row["paper_share_mean"] is None for row in of_intervals):
         lines.append(
-            f"The paper's figures are not shown: they apply to the motions of `evetac record --scene {PAPERS_SCENE}`."
+            f"The paper's figures are not shown: they apply to the motions of `evetac record --scene {SCENE}`."
         )
     return rows, lines + slip_grid.resting_on(rows)
 
@@ -145,7 +145,7 @@ def _rgb_bytes_s(params: EvaluateDataRate) -> float:
 
 
 def _row(recording: Recording, spans: Intervals, params: EvaluateDataRate) -> dict[str, Any]:
-    bytes_a_slice = gel_counts(recording, columns=paper.COLUMNS) * params.event_bytes
+    bytes_a_slice = gel_counts(recording, columns=COLUMNS) * params.event_bytes
     of_window = np.diff(recording.starts) * params.event_bytes - bytes_a_slice
     row: dict[str, Any] = {
         "file": recording.path.name,
@@ -259,7 +259,7 @@ def _as_the_papers(header: Header) -> bool:
     """
     recordings = [header, *header["history"].values()]
     names = [scene_words(one["parameters"], "name") for one in recordings if one["kind"] == "recording"]
-    return all(name == PAPERS_SCENE for name in names if name is not None)
+    return all(name == SCENE for name in names if name is not None)
 
 
 def _interval_row(
@@ -273,8 +273,8 @@ def _interval_row(
     shares = [row[f"share_{interval}"] for row, _ in trials if row[f"share_{interval}"] is not None]
     share_mean = mean(shares)
     whys = [spans[interval].missing_because for _, spans in trials if spans[interval].missing_because]
-    paper_mean = paper.value("data rate", interval) if as_papers else None
-    paper_sd = paper.value("data rate, sd", interval) if as_papers else None
+    paper_mean = PAPER.value("data rate", interval) if as_papers else None
+    paper_sd = PAPER.value("data rate, sd", interval) if as_papers else None
     off = None
     if share_mean is not None and paper_mean is not None and paper_sd is not None:
         off = (share_mean - paper_mean) / paper_sd
@@ -287,7 +287,7 @@ def _interval_row(
         "share_mean": share_mean,
         "share_sd": sd(shares),
         "window_share_mean": mean(row[f"window_share_{interval}"] for row, _ in trials),
-        "columns": paper.COLUMNS,
+        "columns": COLUMNS,
         "paper_share_mean": paper_mean,
         "paper_share_sd": paper_sd,
         "deviation_from_paper_sds": off,
@@ -298,14 +298,14 @@ def _draw(figure: Any, paths: tuple[Path, ...], params: EvaluateDataRate, outcom
     """Plot bytes per second over time, one panel per recording, up to SHOWN, with a line for the RGB sensor."""
     simulated = " (simulated)" if outcome.simulated else ""
     more = f", the first {SHOWN} of {len(paths)} recordings" if len(paths) > SHOWN else ""
-    figure.suptitle(f"Data rate of {paper.COLUMNS} columns, mean over {SHOWN_MS} ms{more}{simulated}")
+    figure.suptitle(f"Data rate of {COLUMNS} columns, mean over {SHOWN_MS} ms{more}{simulated}")
     shown = paths[:SHOWN]
     panels = picture.panels(figure, len(shown), 1)
     rgb = f"RGB sensor, {params.rgb_frame} bytes at {params.rgb_hz:g} Hz"
     shaded = (("contact", "contact", "0.6"), ("slip", f"{params.around_s:g} s around the onset of slip", picture.EARLY))
     for axes, path in zip(panels, shown, strict=True):
         with open_recording(path) as recording:
-            bytes_a_slice = gel_counts(recording, columns=paper.COLUMNS) * params.event_bytes
+            bytes_a_slice = gel_counts(recording, columns=COLUMNS) * params.event_bytes
             spans = intervals(recording, params.around_s)
         edges = np.arange(0, len(bytes_a_slice), SHOWN_MS)
         width = np.diff(np.append(edges, len(bytes_a_slice)))

@@ -18,13 +18,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evetac_cli.arrays import Floats
-from evetac_cli.commands.evaluate import EvaluateForce
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.common import paper, picture
+from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.report import report, report_job
 from evetac_cli.evaluate.common.rows import each, mean
+from evetac_cli.evaluate.force import EvaluateForce
 from evetac_cli.evaluate.force import touch_maps as touch_force
+from evetac_cli.evaluate.force.paper import PAPER
 from evetac_cli.evaluate.force.touch_maps import ForceReportJob
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Outcome, Progress, Row, Rows, Stage, silent
@@ -168,7 +169,7 @@ def _predict(path: Path, models: Models, params: EvaluateForce, noise: np.random
         selected_models = [model for _, _, model in _models_for(tracks, models)]
         sensor, tracker = sensor_sort(tracks.header), _trackers(tracks.header)
         sensor_name = str(tracks.read("sensor/name"))
-    samples = read_samples(path, params, noise)
+    samples = read_samples(path, params.samples, params.noise_n, noise)
     moved_px = samples.moved_px
     predicted_n = {
         "regression": np.stack([forces.apply_regression(model.regression, moved_px) for model in selected_models]),
@@ -197,7 +198,7 @@ def _row(trial: TrialForce, name: str) -> dict[str, Any]:
         row[f"sd_n_{letter}"] = float(sd_n[axis])
         row[f"sd_over_models_n_{letter}"] = float(spread_n[axis])
         for quantity in ("mae", "sd"):
-            published = paper.value(quantity, name, trial.sensor, letter) if trial.fitted else None
+            published = PAPER.value(quantity, name, trial.sensor, letter) if trial.fitted else None
             row[f"paper_{quantity}_n_{letter}"] = published
     row["gain"] = float((trial.predicted_n[name].mean(axis=0) * measured).sum() / (measured**2).sum())
     return row

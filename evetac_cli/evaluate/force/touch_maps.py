@@ -24,12 +24,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from evetac_cli.arrays import Flags, Floats
-from evetac_cli.commands.evaluate import EvaluateForce
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.report import ModelsReportJob, report
 from evetac_cli.evaluate.common.rows import each, mean
+from evetac_cli.evaluate.force import EvaluateForce
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Outcome, Progress, Rows
 from evetac_cli.kernels.force.gel_forces import Forces

@@ -19,14 +19,14 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.commands.evaluate import EvaluateGrasp
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.common import paper, picture
+from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.report import report, report_job
 from evetac_cli.evaluate.common.rows import each, ends, mean, quantile, resampled, sd
 from evetac_cli.evaluate.common.source import Source
-from evetac_cli.evaluate.grasp import grip_forces
+from evetac_cli.evaluate.grasp import EvaluateGrasp, grip_forces
+from evetac_cli.evaluate.grasp.paper import PAPER
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels import estimates
@@ -61,7 +61,7 @@ PANELS = (
     ("moved_mm_median", "moved_mm", "object moved in the gripper, median [mm]"),
 )
 INTERVAL = "95 % interval by the number of trials (Wilson)"
-MOVED_MM = paper.FIGURES["moved less in most trials",].value
+MOVED_MM = PAPER.figures["moved less in most trials",].value
 
 
 def jobs(files: list[Path], params: EvaluateGrasp, out: Path | None) -> list[Job]:
@@ -220,7 +220,7 @@ def figures(trials: Rows) -> dict[str, Any]:
 
 def _with_papers(row: dict[str, Any], *columns: str) -> dict[str, Any]:
     """Add the paper's figures for the setting, or for the object with the paper's controller; None if it has none."""
-    return {**row, **{column: paper.value_of(column, row) for column in columns}}
+    return {**row, **{column: PAPER.value_of(column, row) for column in columns}}
 
 
 def _size_in(rows: Rows, source: Source) -> tuple[float, float]:
@@ -318,9 +318,9 @@ def _papers(lines: Lines, name: str, source: Source) -> Iterator[tuple[float, fl
     The figure is that of the object's first line for which the paper has one.
     """
     column = f"paper_{name}"
-    for number, place in _middles(lines).items() if column in paper.SHOWN else ():
+    for number, place in _middles(lines).items() if column in PAPER.columns else ():
         of_object = (row for _, row in lines if row["object"] == number)
-        beside = next(filter(None, (paper.beside(column, row, source) for row in of_object)), None)
+        beside = next(filter(None, (PAPER.beside(column, row, source) for row in of_object)), None)
         if beside is not None:
             yield beside.value, place, picture.of_paper(beside.mark, "real gripper")
 

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
-from evetac_cli.commands.evaluate import EvaluateLabels
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.evaluate.common.report import report, report_job
 from evetac_cli.evaluate.common.rows import each, mean, quantile
+from evetac_cli.evaluate.labels import EvaluateLabels
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.store.files import StageFile

@@ -23,10 +23,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evetac_cli import resources
-from evetac_cli.commands.evaluate import EvaluateLikeness
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.evaluate.common.report import report, report_job
 from evetac_cli.evaluate.data_rate.measure import headers_beside
+from evetac_cli.evaluate.likeness import EvaluateLikeness
 from evetac_cli.evaluate.likeness.facts import (
     NEAR,
     WITHIN,

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
-from evetac_cli.evaluate.common import paper
 from evetac_cli.evaluate.data_rate.measure import labels_beside
+from evetac_cli.evaluate.data_rate.paper import COLUMNS
 from evetac_cli.evaluate.slip.tables import TIMING_BINS
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.slip.metrics import EARLIEST_MS, LATEST_MS
@@ -56,7 +56,7 @@ def count(recording: Recording) -> SliceCounts:
     sensing = np.zeros(len(recording), np.int64)
     for block in recording.blocks():
         slices = np.repeat(np.arange(len(block.starts) - 1), np.diff(block.starts))
-        own = slices[block.events.x < paper.COLUMNS]
+        own = slices[block.events.x < COLUMNS]
         sensing[block.first : block.stop] = np.bincount(own, minlength=len(block.starts) - 1)
     window = np.diff(recording.starts) - sensing
     if recording.has("truth"):

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from evetac_cli import resources
-from evetac_cli.evaluate.common import paper
+from evetac_cli.evaluate.subjects import PAPER
 from evetac_cli.kernels import estimates
 from evetac_cli.text_files import read_toml
 
@@ -127,9 +127,9 @@ def _fact(entry: Mapping[str, Any]) -> Fact:
     if isinstance(arguments.get("value_of"), str):
         arguments["value_of"] = (arguments["value_of"],)
     if keys:
-        arguments["value"] = tuple(paper.FIGURES[tuple(key)].value for key in keys)
+        arguments["value"] = tuple(PAPER.figures[tuple(key)].value for key in keys)
     if sds:
-        spread = [paper.FIGURES[tuple(key)].value for key in sds]
+        spread = [PAPER.figures[tuple(key)].value for key in sds]
         arguments["low"] = tuple(mean - sd for mean, sd in zip(arguments["value"], spread, strict=True))
         arguments["high"] = tuple(mean + sd for mean, sd in zip(arguments["value"], spread, strict=True))
     if trials is not None:

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
-from evetac_cli.evaluate.common import paper
 from evetac_cli.evaluate.data_rate.measure import dot_places, intervals
+from evetac_cli.evaluate.data_rate.paper import COLUMNS
 from evetac_cli.evaluate.likeness.counts import ABOUT_MS, SliceCounts, about_slip
 from evetac_cli.evaluate.realism.measure import ContactPhase, rest_and_motion, stroked
 from evetac_cli.events import SLICE_US, SLICES_PER_S
@@ -62,7 +62,7 @@ def measure(recording: Recording, counts: SliceCounts) -> Row:
 def _at_rest(rest: ContactPhase, frame_px: tuple[int, int]) -> Row:
     """Return the noise: over the whole frame, and of ordinary and hot pixels in the counted columns."""
     whole = realism.at_rest(*rest.events, frame_px, rest.duration_us)
-    own = rest.events.x < paper.COLUMNS
+    own = rest.events.x < COLUMNS
     sensing = (rest.events.t[own], rest.events.x[own], rest.events.y[own], rest.events.p[own])
     hot, ordinary, hot_pixels = realism.split_hot(*sensing, frame_px, rest.duration_us * 1e-6)
     rest_ms = rest.duration_us / SLICE_US
@@ -181,7 +181,7 @@ def _near_dots(recording: Recording, places: Floats, first: int) -> float | None
     near = total = 0
     (block,) = recording.blocks(len(places), first, first + len(places))
     for number, events in enumerate(block.slices()):
-        own = events.x < paper.COLUMNS
+        own = events.x < COLUMNS
         at = np.stack([events.x[own], events.y[own]], axis=1).astype(np.float64)
         dots = places[number][np.isfinite(places[number][:, 0])]
         distance_px2 = ((at[:, None] - dots) ** 2).sum(axis=2).min(axis=1, initial=math.inf)

@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
-from evetac_cli.commands.evaluate import EvaluateRealism
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.report import report, report_job
+from evetac_cli.evaluate.realism import EvaluateRealism
 from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels import realism

@@ -32,15 +32,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.commands.evaluate import EvaluateSlip
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError, made_by
-from evetac_cli.evaluate.common import paper, picture
+from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.report import ModelsReportJob, report, report_job
 from evetac_cli.evaluate.common.source import LABELS, TRUTH, Source
+from evetac_cli.evaluate.slip import EvaluateSlip
 from evetac_cli.evaluate.slip import models as slip_models
 from evetac_cli.evaluate.slip import warnings as slip_warnings
 from evetac_cli.evaluate.slip.models import AT_ONCE, Model, check, predict_all
+from evetac_cli.evaluate.slip.paper import PAPER
 from evetac_cli.evaluate.slip.tables import tables
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels.slip import metrics
@@ -304,7 +305,7 @@ def _draw(figure: Any, outcome: Outcome, source: Source) -> None:
         _draw_f1(f1, place, row, [one for one in outcome.rows if "object" in one and "trajectories" in one])
     for axes, key in ((timing, "paper_slip_correct"), (f1, "paper_f1")):
         for place, row in enumerate(settings):
-            if beside := paper.beside(key, row, source):
+            if beside := PAPER.beside(key, row, source):
                 axes.plot(beside.value, place - 0.14, **picture.of_paper(beside.mark))
         picture.share_axis(axes.xaxis)
     timing.set(xlabel="share of slips by time of first detection", ylim=(len(settings) - 0.4, -0.6))

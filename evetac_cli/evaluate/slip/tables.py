@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from evetac_cli.evaluate.common import paper
 from evetac_cli.evaluate.common.rows import ends, mean, quantile, resampled, sd
 from evetac_cli.evaluate.common.source import TRUTH
 from evetac_cli.evaluate.slip import warnings as slip_warnings
 from evetac_cli.evaluate.slip.models import Model
+from evetac_cli.evaluate.slip.paper import PAPER
 from evetac_cli.evaluate.slip.warnings import Judged
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels import estimates
@@ -160,7 +160,7 @@ def _papers_object(model: Model, name: str, models: int) -> Row:
         "horizon_ms": model.horizon_ms,
         "preset": model.header["parameters"].get("preset"),
         "models": models,
-        "paper_slip_correct_of_object": None if name in model.objects else paper.value(*key),
+        "paper_slip_correct_of_object": None if name in model.objects else PAPER.value(*key),
     }
 
 
@@ -218,9 +218,9 @@ def _paper(model: Model, objects: set[str]) -> Row:
         return figures
     if objects <= model.objects:
         seen_key = ("known", name, model.horizon_ms)
-        figures = {"paper_slip_correct": paper.value("correct", *seen_key), "paper_f1": paper.value("f1", *seen_key)}
+        figures = {"paper_slip_correct": PAPER.value("correct", *seen_key), "paper_f1": PAPER.value("f1", *seen_key)}
     elif not objects & model.objects:
-        figures["paper_slip_correct"] = paper.value("correct", "unseen", name, model.horizon_ms)
+        figures["paper_slip_correct"] = PAPER.value("correct", "unseen", name, model.horizon_ms)
     return figures
 
 
@@ -247,7 +247,7 @@ def _timing_bins(predictions: Sequence[Sequence[Prediction]], thresholds: Sequen
 
 def _paper_timing(model: Model, objects: set[str]) -> Row:
     unseen = not objects & (model.objects | {"unknown"})
-    share = paper.value("10_to_0_ms_ahead", "unseen", model.architecture.name, model.horizon_ms)
+    share = PAPER.value("10_to_0_ms_ahead", "unseen", model.architecture.name, model.horizon_ms)
     return {"paper_10_to_0_ms_ahead": share if unseen else None}
 
 

@@ -9,11 +9,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from evetac_cli.commands.evaluate import EvaluateStability
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import EvetacError, attach_outcome
 from evetac_cli.evaluate.common.report import own_report, report
-from evetac_cli.evaluate.stability import grasp, tracker
+from evetac_cli.evaluate.stability import EvaluateStability, grasp, tracker
 from evetac_cli.evaluate.stability import simulator as simulator_stability
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 

@@ -20,13 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
-from evetac_cli.commands.evaluate import EvaluateTracking
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.common import paper, picture
+from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.report import report, report_job
 from evetac_cli.evaluate.common.rows import each, mean
 from evetac_cli.evaluate.common.source import Source
+from evetac_cli.evaluate.tracking import EvaluateTracking
+from evetac_cli.evaluate.tracking.paper import PAPER
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.stages import row_blocks
 from evetac_cli.stages.related_files import OTHER_FOLDER, Origins, check_made_from
@@ -274,7 +275,7 @@ def _preset(name: str, rows: Rows) -> dict[str, Any]:
         "preset": name,
         "trajectories": len(rows),
         "decided": len(decided),
-        **ends("", *({column: paper.value(quantity, name)} for column, quantity in of_paper)),
+        **ends("", *({column: PAPER.value(quantity, name)} for column, quantity in of_paper)),
         **ends("_before_reset"),
         "dots_put_back": sum(row["dots_put_back"] for row in rows),
         "events_per_dot": mean(row["events_per_dot"] for row in rows),
@@ -327,7 +328,7 @@ def _draw_consistent(axes: Any, rows: Rows, source: Source) -> None:
             label = "95 % interval by the number of trajectories (Wilson)"
             axes.errorbar(share, place, xerr=picture.wilson(share, count), label=label, **picture.INTERVAL)
             axes.plot(share, place, "o", color=colour, markersize=8)
-        if beside := paper.beside("paper_consistent_share", row, source):
+        if beside := PAPER.beside("paper_consistent_share", row, source):
             axes.plot(beside.value, place - 0.2, **picture.of_paper(beside.mark))
     picture.share_axis(axes.xaxis)
     axes.set(xlabel=f"share of trajectories that end within {CONSISTENT_PX:g} px", ylim=(len(presets) - 0.5, -0.5))

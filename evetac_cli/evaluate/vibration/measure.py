@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
-from evetac_cli.commands.evaluate import EvaluateVibration
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.common import paper, picture
+from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.report import report, report_job
+from evetac_cli.evaluate.vibration import EvaluateVibration
+from evetac_cli.evaluate.vibration.paper import PAPER, WINDOWS_S
 from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels import vibration
@@ -297,7 +298,7 @@ def _by_window(
                 "tolerance_hz": tolerance_hz,
                 "correct": right,
                 "share": right / len(frequencies),
-                "paper_share": paper.value("vibration", f"{expected_hz:g}", length / 1000),
+                "paper_share": PAPER.value("vibration", f"{expected_hz:g}", length / 1000),
                 "among_three": among_three if method == "paper" else None,
                 "among_three_share": among_three / len(frequencies) if method == "paper" else None,
                 "windows_at_half_tone": sum(half),
@@ -327,9 +328,7 @@ def _summary(first: Rows, second: Rows) -> dict[str, Any]:
                 summary[f"{method}_windows_{window_s:g}_s"] = windows
                 summary[f"{method}_recordings_{window_s:g}_s"] = len(rows)
     if with_tone:
-        summary |= {
-            f"published_share_{length:g}_s": paper.value("vibration", "all", length) for length in paper.WINDOWS_S
-        }
+        summary |= {f"published_share_{length:g}_s": PAPER.value("vibration", "all", length) for length in WINDOWS_S}
     return summary
 
 

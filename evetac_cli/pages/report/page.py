@@ -7,10 +7,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.evaluate.common import paper
+from evetac_cli.evaluate.subject import Subject, SubjectTable
+from evetac_cli.evaluate.subjects import PAPER, SUBJECTS
 from evetac_cli.pages import shared
 from evetac_cli.pages.report import evaluations, figures
-from evetac_cli.pages.report.evaluations import SECTIONS, SUBJECTS, Section, Subject, columns_of
+from evetac_cli.pages.report.evaluations import columns_of
 from evetac_cli.pages.report.figures import StudyFigure
 from evetac_cli.pages.report.study import Found, Study, StudyTrial
 from evetac_cli.pages.report.trial_table import onset_charts, trial_table, trials_of_both
@@ -30,11 +31,8 @@ def render(studies: Sequence[Study], page: Path) -> bytes:
     if len(studies) > 1:
         sections.append(("both", "Trials in both studies", trials_of_both(studies)))
     sections.append(("trials", "Trials", _charts(onset_charts(studies)) + trial_table(studies, page)))
-    for section in SECTIONS:
-        text = _section(section, studies)
-        if text:
-            sections.append((section.name, section.title, text))
-    sections.append(("missing", "What is missing", _missing(studies)))
+    sections += [(subject.name, subject.title, _section(subject, studies)) for subject in SUBJECTS]
+    sections = [*filter(lambda section: section[2], sections), ("missing", "What is missing", _missing(studies))]
     body = "".join(
         f"<section class='card' id='{name}'><h2>{head}</h2>{text}</section>" for name, head, text in sections
     )
@@ -94,36 +92,33 @@ def _image(plot: bytes) -> str:
     return f"<img alt='plot' src='data:image/png;base64,{b64encode(plot).decode()}'>"
 
 
-def _section(section: Section, studies: Sequence[Study]) -> str:
-    """Return plots and tables of the reports of a section; empty if there are none."""
+def _section(subject: Subject, studies: Sequence[Study]) -> str:
+    """Return plots and tables of the reports of a subject; empty if there are none."""
+    of_reports = [(study, one) for study in studies for one in study.reports(f"evaluate {subject.name}")]
     several = len(studies) > 1
     text = _charts(
         (f"{study.name}: {evaluation.path}" if several else evaluation.path, _image(evaluation.plot))
-        for study in studies
-        for evaluation in study.reports(f"evaluate {section.name}")
+        for study, evaluation in of_reports
         if evaluation.plot is not None
     )
-    for subject in SUBJECTS:
-        if subject.section != section.name:
-            continue
-        of_reports = [(study, evaluation) for study in studies for evaluation in study.reports(subject.command)]
-        # A subject without columns shows all columns of a report, which differ between reports.
-        for some in [of_reports] if subject.columns else [[one] for one in of_reports]:
-            text += _subject(subject, some, several)
-    return f"<p class='hint'>{html.escape(section.caption)}</p>{text}" if text else ""
+    for shown in subject.tables:
+        # A table without columns shows all columns of a report, which differ between reports.
+        for some in [of_reports] if shown.columns else [[one] for one in of_reports]:
+            text += _table(shown, some, several)
+    return f"<p class='hint'>{html.escape(subject.about)}</p>{text}" if text else ""
 
 
-def _subject(subject: Subject, of_reports: Sequence[tuple[Study, Found]], several: bool) -> str:
-    """Return the table of a subject; empty if no report has such rows."""
+def _table(shown: SubjectTable, of_reports: Sequence[tuple[Study, Found]], several: bool) -> str:
+    """Return a table of a subject; empty if no report has such rows."""
     entries = [
         (study, evaluation, row)
         for study, evaluation in of_reports
-        for row in enumerate(subject.rows(evaluation), start=1)
+        for row in enumerate(shown.rows(evaluation.rows, evaluation.summary), start=1)
     ]
     if not entries:
         return ""
-    columns = columns_of(subject, [row for *_, (_, row) in entries])
-    with_report, numbered = len(of_reports) > 1, subject.section == "cost"
+    columns = columns_of(shown, [row for *_, (_, row) in entries])
+    with_report, numbered = len(of_reports) > 1, shown.numbered
     heads = ["study"] * several + ["report"] * with_report + ["row"] * numbered
     heads += [html.escape(column.heading) for column in columns]
     rows = []
@@ -135,13 +130,13 @@ def _subject(subject: Subject, of_reports: Sequence[tuple[Study, Found]], severa
     simulated = all(evaluation.simulated for _, evaluation in of_reports)
     badge = " <span class='badge simulated'>simulated</span>" if simulated else ""
     more = f" <small>first {MOST_ROWS} of {len(entries)}</small>" if len(entries) > MOST_ROWS else ""
-    title = subject.title if subject.columns else f"{subject.title}, {of_reports[0][1].path}"
+    title = shown.title if shown.columns else f"{shown.title}, {of_reports[0][1].path}"
     return f"<h3>{shared.short(title)}{badge}{more}</h3>" + table(heads, rows)
 
 
 def _with_paper(column: evaluations.ReportColumn, row: dict[str, Any], evaluation: Found) -> str:
     """Return a cell with evetac's figure, and the paper's with its mark."""
-    beside = paper.beside(column.paper, row, evaluation.source) if column.paper else None
+    beside = PAPER.beside(column.paper, row, evaluation.source) if column.paper else None
     words = f" <small class='paper'>({figure_text(beside.value)}, {beside.mark})</small>" if beside else ""
     return cell(row.get(column.key), words)
 

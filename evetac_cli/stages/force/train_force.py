@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
-from evetac_cli.commands.evaluate import EvaluateForce
 from evetac_cli.commands.parameter import recipe_of, refuse_unused
 from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError, made_by
@@ -96,7 +95,7 @@ def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress
     from evetac_cli.kernels.force import training as force_training  # brings torch
 
     noise, training = np.random.default_rng(params.seed).spawn(2)
-    samples = [read_samples(path, params, noise) for path in job.inputs]
+    samples = [read_samples(path, params.samples, params.noise_n, noise) for path in job.inputs]
     moved_px = np.concatenate([one.moved_px for one in samples])
     force_n = np.concatenate([one.force_n for one in samples])
     held_out = samples[-1]
@@ -143,16 +142,16 @@ def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress
     )
 
 
-def read_samples(path: Path, params: TrainForce | EvaluateForce, noise: np.random.Generator) -> ForceSamples:
-    """Return the samples of a trajectory, with noise added to the force; InputError if there are none."""
+def read_samples(path: Path, count: int, noise_n: float, noise: np.random.Generator) -> ForceSamples:
+    """Return `count` samples of a trajectory, with noise added to the force; InputError if there are none."""
     with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
         try:
-            slices = forces.sample_slices(recording.read("truth/normal_force_n"), params.samples, SAMPLE_MS)
+            slices = forces.sample_slices(recording.read("truth/normal_force_n"), count, SAMPLE_MS)
             moved_px = forces.displacement(tracks.read("dot_xy_px")[slices], read_rest_px(tracks))
         except ValueError as error:
             raise InputError(f"there are no forces to compare with: {error}", where=str(path)) from error
         force_n = recording.read("truth/shear_force_n")[slices].astype(float)
-    return ForceSamples(slices, moved_px, force_n + noise.normal(0.0, params.noise_n, force_n.shape))
+    return ForceSamples(slices, moved_px, force_n + noise.normal(0.0, noise_n, force_n.shape))
 
 
 def read_rest_px(tracks: StageFile) -> Floats:

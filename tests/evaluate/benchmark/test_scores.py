@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evetac_cli.commands.evaluate import EvaluateBenchmark
-from evetac_cli.evaluate.benchmark import command, scores
+from evetac_cli.evaluate.benchmark import EvaluateBenchmark, command, scores
 from evetac_cli.evaluate.benchmark.data_set import Benchmark, BenchmarkTrial, Truth
 from evetac_cli.evaluate.benchmark.predictions import Predictions
 from evetac_cli.jobs import Rows

@@ -11,9 +11,8 @@ from typing import Any
 
 import pytest
 
-from evetac_cli.evaluate.common import paper
-from evetac_cli.evaluate.common.paper import (
-    FIGURES,
+from evetac_cli.evaluate.common import marks
+from evetac_cli.evaluate.common.marks import (
     MARKS,
     METHOD,
     SAME,
@@ -22,6 +21,9 @@ from evetac_cli.evaluate.common.paper import (
     Conditions,
 )
 from evetac_cli.evaluate.common.source import Source
+from evetac_cli.evaluate.data_rate.paper import COLUMNS
+from evetac_cli.evaluate.subjects import PAPER, SUBJECTS
+from evetac_cli.evaluate.tracking import SUBJECT as tracking_subject
 from evetac_cli.evaluate.tracking import measure as tracking
 from evetac_cli.pages.report import evaluations, page
 from evetac_cli.pages.report.study import Found
@@ -67,13 +69,9 @@ def in_table(evaluated: dict[str, Any]) -> str:
 def in_report(evaluated: dict[str, Any]) -> str:
     """The same in the page of a folder."""
     report = Found("a.report.h5", "evaluate tracking", evaluated, [ROW], {})
-    (column,) = (
-        column
-        for subject in evaluations.SUBJECTS
-        if subject.command == report.command
-        for column in evaluations.columns_of(subject, subject.rows(report))
-        if column.paper == "paper_consistent_share"
-    )
+    (shown,) = tracking_subject.tables
+    columns = evaluations.columns_of(shown, shown.rows(report.rows, report.summary))
+    (column,) = (column for column in columns if column.paper == "paper_consistent_share")
     (beside,) = re.findall(r"\((.*)\)", page._with_paper(column, ROW, report))
     return beside
 
@@ -96,14 +94,13 @@ def test_one_place_is_asked_by_all(scene: str, mark: str, monkeypatch: pytest.Mo
     asked = (in_table, in_report, in_picture)
     evaluated = header(scene)
     assert {one(evaluated) for one in asked} == {f"0.8, {mark}"}
-    monkeypatch.setitem(
-        FIGURES, ("consistent", "paper"), dataclasses.replace(FIGURES["consistent", "paper"], value=0.66)
-    )
+    figures, key = tracking_subject.paper.figures, ("consistent", "paper")
+    monkeypatch.setitem(figures, key, dataclasses.replace(figures[key], value=0.66))
     assert {one(evaluated) for one in asked} == {f"0.66, {mark}"}
 
 
 OURS = Conditions("network by paper", "slip", (90, 5), "dots by paper")
-FIGURE = paper.PaperFigure(0.9, "share", "a table", OURS, fitted_in="slip")
+FIGURE = marks.PaperFigure(0.9, "share", "a table", OURS, fitted_in="slip")
 
 
 @pytest.mark.parametrize(
@@ -119,16 +116,16 @@ FIGURE = paper.PaperFigure(0.9, "share", "a table", OURS, fitted_in="slip")
 )
 def test_marks_have_one_order(changes: dict[str, Any], mark: str) -> None:
     """Assert the mark of what is the paper's, of what differs in one thing, and which comes first where several do."""
-    assert paper.mark(FIGURE, dataclasses.replace(OURS, **changes), simulated=False) == mark
+    assert marks.mark(FIGURE, dataclasses.replace(OURS, **changes), simulated=False) == mark
 
 
 def test_what_was_fitted_comes_first() -> None:
     """Assert that in the scene that was adjusted to a figure its mark is `fitted`, whatever else differs but method."""
     other = dataclasses.replace(OURS, size=(1, 1), inputs="dots by stable")
-    assert paper.mark(FIGURE, other, simulated=True) == "fitted"
-    assert paper.mark(FIGURE, dataclasses.replace(other, scene="lift"), simulated=True) == METHOD
-    assert paper.mark(FIGURE, dataclasses.replace(OURS, method="other"), simulated=True) == METHOD
-    assert paper.mark(dataclasses.replace(FIGURE, fitted_in=""), OURS, simulated=True) == SAME
+    assert marks.mark(FIGURE, other, simulated=True) == "fitted"
+    assert marks.mark(FIGURE, dataclasses.replace(other, scene="lift"), simulated=True) == METHOD
+    assert marks.mark(FIGURE, dataclasses.replace(OURS, method="other"), simulated=True) == METHOD
+    assert marks.mark(dataclasses.replace(FIGURE, fitted_in=""), OURS, simulated=True) == SAME
     assert len(set(MARKS)) == 5
 
 
@@ -195,16 +192,16 @@ def test_each_row_has_its_figure_and_mark(
     column: str, row: dict[str, Any], source: Source, changes: dict[str, Any], expected: tuple[float, str] | None
 ) -> None:
     """Assert value and mark for a row of every evaluation, and nothing beside a row that is not comparable."""
-    assert paper.beside(column, {**row, **changes}, source) == expected
-    assert paper.beside(column, {**row, **changes, column: None}, source) is None
+    assert PAPER.beside(column, {**row, **changes}, source) == expected
+    assert PAPER.beside(column, {**row, **changes, column: None}, source) is None
 
 
 def test_a_row_that_does_not_tell_what_it_is_has_nothing_beside_it() -> None:
     """Assert that a row of an older evaluation, which lacks what the mark depends on, is left without."""
     for column, row in (("paper_slip_correct", SLIP_ROW), ("paper_success", GRASP_ROW), ("paper_share", TONE)):
-        named = paper.SHOWN[column]
+        named = PAPER.columns[column]
         for name in named.needs:
-            assert paper.beside(column, {key: one for key, one in row.items() if key != name}, Source()) is None
+            assert PAPER.beside(column, {key: one for key, one in row.items() if key != name}, Source()) is None
 
 
 def test_the_source_is_what_headers_tell() -> None:
@@ -239,7 +236,7 @@ def test_the_source_is_what_headers_tell() -> None:
 MODULES = [
     path
     for path in (*PACKAGE.rglob("*.py"), *(PACKAGE.parent / "scripts").rglob("*.py"))
-    if path != PACKAGE / "evaluate" / "common" / "paper.py"
+    if path.parent.parent != PACKAGE / "evaluate" or path.name not in ("paper.py", "marks.py")
 ]
 
 
@@ -252,7 +249,7 @@ def texts(path: Path) -> Iterator[str]:
             yield node.value
 
 
-def written(figure: paper.PaperFigure) -> set[str]:
+def written(figure: marks.PaperFigure) -> set[str]:
     """How a figure may be written in a text."""
     share = {f"{100 * figure.value:g}", f"{100 * figure.value:.0f}"} if figure.unit.startswith("share") else set()
     return {f"{figure.value:g}", f"{abs(figure.value):g}", *share}
@@ -269,19 +266,15 @@ def test_columns_name_figures_and_hold_none() -> None:
     tables = experiments
     columns = [column for table in tables for column in (*table.columns, *([table.across] if table.across else []))]
     named = [key for column in columns for key in results.keys(column.paper)]
-    named += [
-        f"paper_{name}"
-        for subject in evaluations.SUBJECTS
-        for name in subject.columns
-        if f"paper_{name}" in paper.SHOWN
-    ]
-    assert len(named) > 20 and set(named) <= paper.SHOWN.keys()
+    shown = [name for subject in SUBJECTS for table in subject.tables for name in table.columns]
+    named += [f"paper_{name}" for name in shown if f"paper_{name}" in PAPER.columns]
+    assert len(named) > 20 and set(named) <= PAPER.columns.keys()
     assert not [column for column in columns if re.search(r"\d", re.sub(r"{[^}]*}", "", column.paper))]
 
 
 def test_no_other_module_has_marks_or_figures_of_the_paper() -> None:
     """Assert that no other module spells a mark, gives a number to a column of the paper, or writes one in a text."""
-    figures = {form for figure in FIGURES.values() for form in written(figure)} | {str(paper.COLUMNS)}
+    figures = {form for figure in PAPER.figures.values() for form in written(figure)} | {str(COLUMNS)}
     assert numbers_of_the_paper("the paper's 80 %, (paper: 540), the paper's -7.6 ticks") <= figures
     in_brackets = re.compile(rf"(?:\(|, )(?:{'|'.join(map(re.escape, MARKS))})\)")
     wrong = []

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from evetac_cli import resources
-from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate.common.rows import Extent
-from evetac_cli.evaluate.cost import command
+from evetac_cli.evaluate.cost import EvaluateCost, command
 from evetac_cli.evaluate.cost import grasp as cost
 from evetac_cli.evaluate.cost import short_grasps as trials
 from evetac_cli.evaluate.cost.short_grasps import GraspResult, ShortGrasp

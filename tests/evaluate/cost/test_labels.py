@@ -4,9 +4,8 @@ import json
 
 import pytest
 
-from evetac_cli.commands.evaluate import EvaluateCost
+from evetac_cli.evaluate.cost import EvaluateCost, labels
 from evetac_cli.evaluate.cost import command as cost
-from evetac_cli.evaluate.cost import labels
 from evetac_cli.jobs import silent
 from evetac_cli.store.recordings.read import open_recording
 from tests.conftest import Made

@@ -10,9 +10,9 @@ import pytest
 from typer.testing import CliRunner
 
 from evetac_cli.cli import main
-from evetac_cli.commands.evaluate import EvaluateCost, EvaluateSlip
+from evetac_cli.evaluate.cost import EvaluateCost, models
 from evetac_cli.evaluate.cost import command as cost
-from evetac_cli.evaluate.cost import models
+from evetac_cli.evaluate.slip import EvaluateSlip
 from evetac_cli.evaluate.slip import measure as slip
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES

@@ -8,10 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 from evetac_cli.cli import main
-from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.evaluate.common.rows import Extent, SolverSetting, line
+from evetac_cli.evaluate.cost import EvaluateCost, pipeline
 from evetac_cli.evaluate.cost import command as cost
-from evetac_cli.evaluate.cost import pipeline
 from evetac_cli.evaluate.cost.pipeline import (
     DEFAULTS,
     ERRORS,

@@ -5,9 +5,8 @@ from unittest import mock
 
 import pytest
 
-from evetac_cli.commands.evaluate import EvaluateCost
 from evetac_cli.evaluate.common.rows import Extent
-from evetac_cli.evaluate.cost import command
+from evetac_cli.evaluate.cost import EvaluateCost, command
 from evetac_cli.evaluate.cost import tracker as cost
 from evetac_cli.jobs import silent
 from evetac_cli.kernels.tracking.presets import PRESETS

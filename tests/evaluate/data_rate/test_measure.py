@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from evetac_cli.cli import main
-from evetac_cli.commands.evaluate import EvaluateDataRate
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate.data_rate import EvaluateDataRate
 from evetac_cli.evaluate.data_rate import measure as data_rate
 from evetac_cli.events import Events
 from evetac_cli.inspect import validate

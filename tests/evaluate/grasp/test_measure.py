@@ -4,10 +4,10 @@ from typing import Any
 
 import pytest
 
-from evetac_cli.commands.evaluate import EvaluateGrasp
-from evetac_cli.evaluate.common import paper
+from evetac_cli.evaluate.grasp import EvaluateGrasp
 from evetac_cli.evaluate.grasp import measure as evaluate_grasp
 from evetac_cli.evaluate.grasp.measure import describe_setting, tables, with_detectors, without_gain
+from evetac_cli.evaluate.subjects import PAPER
 from evetac_cli.sim.setup.plan import first_plan, read_plan
 from tests.make import run_stage
 
@@ -122,7 +122,7 @@ def test_the_paper_s_figures_stand_beside_their_own() -> None:
 
 def test_the_paper_s_failures_make_its_93_percent() -> None:
     """Assert that the failures of the text are those of 120 trials with 93 %: it does not say 14's with higher gain."""
-    kept = [figure.value for key, figure in paper.FIGURES.items() if key[0] == "kept" and len(key) == 3]
+    kept = [figure.value for key, figure in PAPER.figures.items() if key[0] == "kept" and len(key) == 3]
     failures = sum(10 * (1 - share) for share in kept)
     assert failures == pytest.approx(6)
     assert 0.925 <= 1 - (failures + 2) / 120 < 0.935

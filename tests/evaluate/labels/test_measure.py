@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.commands.evaluate import EvaluateLabels
+from evetac_cli.evaluate.labels import EvaluateLabels
 from evetac_cli.evaluate.labels.measure import for_people, is_near, judged, slid_so_far, summary, true_onsets
 from evetac_cli.pages.view.time_series import slip_onsets
 from evetac_cli.store.recordings import slip_grid

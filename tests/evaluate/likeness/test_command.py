@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.commands.evaluate import EvaluateLikeness
 from evetac_cli.commands.record import Record
-from evetac_cli.evaluate.likeness import command
+from evetac_cli.evaluate.likeness import EvaluateLikeness, command
 from evetac_cli.evaluate.likeness.facts import facts
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Row

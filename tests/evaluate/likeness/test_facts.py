@@ -6,7 +6,6 @@ from collections import Counter
 import pytest
 
 from evetac_cli import resources
-from evetac_cli.evaluate.common import paper
 from evetac_cli.evaluate.likeness.facts import (
     FIT,
     NEAR,
@@ -19,6 +18,7 @@ from evetac_cli.evaluate.likeness.facts import (
     constant_of,
     facts,
 )
+from evetac_cli.evaluate.subjects import PAPER
 
 
 def fact(**what: object) -> Fact:
@@ -57,7 +57,7 @@ def test_each_fact_says_where_ours_comes_from() -> None:
 def test_figures_of_the_paper_are_those_of_the_one_list() -> None:
     """Assert that a fact of the paper has its figure and spread: the printed sd, or Wilson's interval of a share."""
     share = by_name("tracked-unregularised")
-    assert share.value == (paper.value("consistent", "unregularised"),) == (0.2,)
+    assert share.value == (PAPER.value("consistent", "unregularised"),) == (0.2,)
     assert share.low[0] == pytest.approx(0.057, abs=1e-3) and share.high[0] == pytest.approx(0.510, abs=1e-3)
     rate = by_name("data-rate-contact")
     assert (rate.low[0], rate.high[0]) == pytest.approx((0.020, 0.036))

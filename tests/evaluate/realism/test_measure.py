@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.commands.evaluate import EvaluateRealism
 from evetac_cli.commands.record import Record
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate.realism import EvaluateRealism
 from evetac_cli.evaluate.realism import measure as realism
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome

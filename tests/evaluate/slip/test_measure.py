@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from evetac_cli.commands.evaluate import EvaluateSlip
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate.slip import EvaluateSlip
 from evetac_cli.evaluate.slip import measure as slip
 from evetac_cli.evaluate.slip import models as slip_models
 from evetac_cli.evaluate.slip import tables as slip_tables

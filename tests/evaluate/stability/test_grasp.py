@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.commands.evaluate import EvaluateStability
 from evetac_cli.devices.simulated import SimulatedGripper
 from evetac_cli.evaluate.cost.short_grasps import GraspResult
-from evetac_cli.evaluate.stability import bounds, command
+from evetac_cli.evaluate.stability import EvaluateStability, bounds, command
 from evetac_cli.evaluate.stability import grasp as stability
 from evetac_cli.evaluate.stability.grasp import (
     DyingDetector,

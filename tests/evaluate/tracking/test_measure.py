@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from evetac_cli import stages
-from evetac_cli.commands.evaluate import EvaluateTracking
 from evetac_cli.commands.track import Track
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate.tracking import EvaluateTracking
 from evetac_cli.evaluate.tracking import measure as tracking
 from evetac_cli.jobs import Outcome
 from evetac_cli.stages import track

@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.commands.evaluate import EvaluateVibration
 from evetac_cli.commands.record import Record
+from evetac_cli.evaluate.vibration import SUBJECT, EvaluateVibration
 from evetac_cli.evaluate.vibration import measure as vibration
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.jobs import Outcome
-from evetac_cli.pages.report.evaluations import _windows
-from evetac_cli.pages.report.study import Found
 from evetac_cli.trials import record
 from tests.make import event_arrays, run_stage, truth_arrays, write_recording
 
@@ -108,11 +106,8 @@ def test_recordings_shorter_than_a_window_are_counted(tmp_path: Path) -> None:
     _, lines = vibration.for_people(outcome.rows, EvaluateVibration(windows="1,0.25"))
     short = "Windows of 1 s: 1 of 2 recordings are left out, because they are shorter."
     assert lines[-1] == short and len(lines) == 2
-    found = Found("r", "evaluate vibration", {}, outcome.rows, outcome.summary)
-    assert [(row["window_s"], row["recordings"], row["windows"]) for row in _windows(found)] == [
-        (1, 1, 2),
-        (0.25, 2, 10),
-    ]
+    on_page = SUBJECT.tables[0].rows(outcome.rows, outcome.summary)
+    assert [(row["window_s"], row["recordings"], row["windows"]) for row in on_page] == [(1, 1, 2), (0.25, 2, 10)]
 
 
 def test_the_papers_preset(tmp_path: Path) -> None:

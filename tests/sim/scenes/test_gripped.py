@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from evetac_cli.commands.record import Record
-from evetac_cli.evaluate.common import paper
 from evetac_cli.evaluate.stability.extreme_scenes import merge
+from evetac_cli.evaluate.subjects import PAPER
 from evetac_cli.events import concatenate
 from evetac_cli.resources import SCENES
 from evetac_cli.sim import gripper
@@ -272,7 +272,7 @@ def test_data_rates_are_about_the_papers(tmp_path: Path) -> None:
         record.run(job, recipe)
         measured.append(ratios(job.output)[:3])
     for interval, mean in zip(("whole", "contact", "slip"), np.mean(measured, axis=0), strict=True):
-        of_paper = paper.FIGURES["data rate", interval].value
+        of_paper = PAPER.figures["data rate", interval].value
         assert of_paper / 2 < mean < 2 * of_paper, interval
 
 

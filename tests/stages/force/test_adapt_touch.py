@@ -6,14 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evetac_cli.commands.evaluate import EvaluateForce
 from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate.force import SUBJECT, EvaluateForce
 from evetac_cli.evaluate.force import measure as evaluate_force
 from evetac_cli.inspect import info
-from evetac_cli.pages.report.evaluations import _gel_forces
-from evetac_cli.pages.report.study import Found
 from evetac_cli.stages.force import adapt_touch, train_force
 from evetac_cli.stages.touch import predict_touch
 from evetac_cli.store.files import StageFile, write_stage
@@ -130,8 +128,8 @@ def test_trajectories_without_an_error_are_left_out(tmp_path: Path) -> None:
     assert unknown.endswith("n = 1 of 2 trajectories; 1 without a slice in which a contact is found and enough dots are"
                             " tracked.")  # fmt: skip
     assert f"force {both['known_mae_n']:.3g} N" in known
-    found = Found("r", "evaluate force", {}, outcomes[1].rows, both)
-    assert [(row["trajectories"], row["counted"]) for row in _gel_forces(found)] == [(2, 1), (2, 1)]
+    on_page = SUBJECT.tables[1].rows(outcomes[1].rows, both)
+    assert [(row["trajectories"], row["counted"]) for row in on_page] == [(2, 1), (2, 1)]
 
 
 def test_what_cannot_be_adapted(own: list[Path], tmp_path: Path) -> None:

@@ -8,11 +8,11 @@ import h5py
 import numpy as np
 import pytest
 
-from evetac_cli.commands.evaluate import EvaluateForce
 from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.commands.track_rgb import TrackRgb
 from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate.force import EvaluateForce
 from evetac_cli.evaluate.force import measure as evaluate_force
 from evetac_cli.inspect import info
 from evetac_cli.stages import track_rgb

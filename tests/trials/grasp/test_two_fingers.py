@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evetac_cli.commands.evaluate import EvaluateGrasp
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.record import Record
 from evetac_cli.errors import DeviceError, InputError
+from evetac_cli.evaluate.grasp import EvaluateGrasp
 from evetac_cli.evaluate.grasp import measure as evaluate_grasp
 from evetac_cli.events import Events, empty
 from evetac_cli.inspect import validate
