@@ -210,7 +210,7 @@ def test_trials_of_one_camera(listened: Callable[..., KeyboardInterrupt], tmp_pa
 
 def test_the_clients_of_the_documentation(listened: Callable[..., KeyboardInterrupt], tmp_path: Path) -> None:
     """Assert that the Python and the bash of the page, and the example, record trials as they are written."""
-    page = (ROOT / "docs" / "hardware.md").read_text().partition("## 7. From a robot's program")[2]
+    page = (ROOT / "docs" / "hardware.md").read_text().partition("## From a robot's program")[2]
     python = page.partition("```python\n")[2].partition("```")[0]
     bash = page.partition("In bash:\n\n")[2].partition("\n\n")[0]
     example = [sys.executable, str(ROOT / "examples" / "robot_trials.py"), str(tmp_path), "1"]
