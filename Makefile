@@ -29,7 +29,7 @@ LOWEST := .venv-lowest
 LEROBOT := .venv-lerobot
 # For lerobot: the newest tested version of LeRobot requires Python 3.12.
 LEROBOT_PYTHON ?= python3.12
-REPRODUCE = $(BIN)/python scripts/reproduce.py --jobs $(JOBS) $(if $(SMALL),--small) $(SIZES:%=--size %)
+REPRODUCE = $(BIN)/python scripts/reproduce/run.py --jobs $(JOBS) $(if $(SMALL),--small) $(SIZES:%=--size %)
 
 # Installs packages and prints a line for each large one. pip itself prints nothing for minutes, or hundreds of lines.
 PIP = $(BIN)/python -m pip install --no-compile --disable-pip-version-check --progress-bar off
@@ -128,8 +128,8 @@ film: $(KERNELS)  ## make the short film of a catch, docs/catch.gif
 	cp $(if $(SMALL),small/)film/catch.gif docs/catch.gif
 
 results: $(KERNELS)  ## write the tables in docs/results/ into README and docs
-	$(BIN)/python scripts/paper_rows.py
-	$(BIN)/python scripts/results.py
+	$(BIN)/python scripts/paper/rows.py
+	$(BIN)/python scripts/reproduce/results.py
 
 # With several BLAS threads that wait for each other's cores, small matrices take ten times as long.
 ONE_THREAD := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 MKL_NUM_THREADS=1
@@ -180,13 +180,13 @@ docs: $(ALL)  ## build the documentation, site/index.html, with the reference pa
 	@echo 'open site/index.html; its search needs a server: python3 -m http.server --bind 127.0.0.1 --directory site'
 
 benchmark: $(KERNELS)  ## make evetac-bench, the benchmark that can be given away, in bench-small/ (SIZE=full, JOBS)
-	$(BIN)/python scripts/benchmark.py make --size $(SIZE) --out bench-$(SIZE) --jobs $(JOBS)
+	$(BIN)/python scripts/benchmark/make.py make --size $(SIZE) --out bench-$(SIZE) --jobs $(JOBS)
 
 bench: $(KERNELS)  ## compare kernel run times in one run: with real time, other methods, or a commit (BASE)
-	$(BIN)/python scripts/bench.py $(if $(BASE),--against $(BASE))
+	$(BIN)/python scripts/speed/bench.py $(if $(BASE),--against $(BASE))
 
 profile: $(KERNELS)  ## measure each stage: processor time, memory and bytes per trial, and start-up (COSTS, for JSON)
-	$(BIN)/python scripts/stage_costs.py $(if $(COSTS),-o $(COSTS))
+	$(BIN)/python scripts/speed/stage_costs.py $(if $(COSTS),-o $(COSTS))
 
 clean:  ## remove files from demo, tests and builds; keep the environment
 	rm -rf demo strips film small dist site .cache .pytest_cache .ruff_cache .mypy_cache .hypothesis

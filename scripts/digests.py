@@ -136,7 +136,7 @@ def make(folder: Path, only: list[str]) -> None:
         print(name, file=sys.stderr)
 
     def demo() -> None:
-        reproduce = [sys.executable, str(ROOT / "scripts" / "reproduce.py"), "--only", "demo"]
+        reproduce = [sys.executable, str(ROOT / "scripts" / "reproduce" / "run.py"), "--only", "demo"]
         results = ["--out", str(folder), "--results", str(folder / "results")]
         call([*reproduce, *results, "--jobs", "1"], folder)
         print("demo", file=sys.stderr)

@@ -11,8 +11,6 @@ import pytest
 
 from tests.patience import PATIENCE_S
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
-
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "robot-simulators.md"
 CODE = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.MULTILINE | re.DOTALL)

@@ -19,13 +19,10 @@ from evetac_cli.cli.main import app
 from evetac_cli.evaluate.common.marks import MARKS
 from evetac_cli.store.layout import schema
 from evetac_cli.trials.record import simulated
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts" / "docs"))
-import figures
-import first_hour
-import results
-from experiments import EXPERIMENTS
+from scripts import first_hour
+from scripts.docs import figures
+from scripts.reproduce import results
+from scripts.reproduce.plan import EXPERIMENTS
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = {str(path.relative_to(ROOT)): path.read_text() for path in results.PAGES}

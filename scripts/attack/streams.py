@@ -17,9 +17,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from stream_attacks import ATTACKS, Attack, Ending
-
 from evetac_cli.devices.virtual import dvxplorer
+from scripts.attack.stream_attacks import ATTACKS, Attack, Ending
 
 COLUMNS = ("fault", "wall_s", "peak_mb", "slices", "host_ms", "lost_reported", "lost_true", "ok", "wrong")
 START_S = 60.0  # time for a recording beyond its seconds: to load, to compile and to join the file, in s

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import typer
-from page_text import bounds, code, fenced, prose, sentence, table
 
 from evetac_cli import commands
 from evetac_cli.cli.config import with_config
 from evetac_cli.cli.main import app
 from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.evaluate.subjects import SUBJECTS
+from scripts.docs.page_text import bounds, code, fenced, prose, sentence, table
 
 FOLDER = "commands"
 UNNAMED_PANEL = "Options"

@@ -6,9 +6,8 @@ A test runs the Python snippets on a file of each kind. The MATLAB and Julia sni
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from page_text import bounds, code, fenced, prose, sentence, table
-
 from evetac_cli.store.layout.schema import KINDS, Dataset, Limits, Schema, load
+from scripts.docs.page_text import bounds, code, fenced, prose, sentence, table
 
 FOLDER = "files"
 MADE_BY = {

@@ -9,8 +9,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, is_dataclass
 from typing import Any
 
-from page_text import code, comments, prose, sentence, table, value
-
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.kernels.grip.control import LAWS, MOST_FIXED_TICKS
@@ -19,6 +17,7 @@ from evetac_cli.kernels.slip.training import ADAPT, PRESETS
 from evetac_cli.kernels.tracking import presets
 from evetac_cli.kernels.tracking.presets import TrackerConstants
 from evetac_cli.resources import MODEL
+from scripts.docs.page_text import code, comments, prose, sentence, table, value
 
 ROWS, COLUMNS = 7, 8  # of the cut gel, for which the numbers of weights are given
 OWN = "evetac"

@@ -14,13 +14,9 @@ import shutil
 import sys
 from pathlib import Path
 
-import command_pages
-import file_pages
-import method_pages
-import simulation_pages
-from page_text import MADE
-
 import evetac_cli as evetac
+from scripts.docs import command_pages, file_pages, method_pages, simulation_pages
+from scripts.docs.page_text import MADE
 
 ROOT = Path(__file__).resolve().parents[2]
 MODULES = (command_pages, file_pages, simulation_pages, method_pages)

@@ -4,8 +4,6 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from page_text import bounds, code, fenced, folded, prose, sentence, table, value
-
 from evetac_cli.resources import SCENES, schemas
 from evetac_cli.resources import table as packaged
 from evetac_cli.sim.parts import PARTS, rows_of
@@ -13,6 +11,7 @@ from evetac_cli.sim.setup.plan import Plan, first_plan
 from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL
 from evetac_cli.sim.setup.sensor_rows import rows as sensor_rows
 from evetac_cli.text_files import read_toml
+from scripts.docs.page_text import bounds, code, fenced, folded, prose, sentence, table, value
 
 Rules = Mapping[str, Any]
 EXAMPLE = "evetac"  # the sensor with which others are compared

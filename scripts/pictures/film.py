@@ -11,12 +11,12 @@ import argparse
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from film_picture import Picture, palette
-from film_story import PICTURE_MS, Story, frame_times, read_story
 from PIL import Image
 
 from evetac_cli.errors import EvetacError
 from evetac_cli.pages.view.trial_files import OpenTrial, open_trial
+from scripts.pictures.film_picture import Picture, palette
+from scripts.pictures.film_story import PICTURE_MS, Story, frame_times, read_story
 
 LAST_MS = 1500  # how long the last picture stays
 SHOWN_MS = 5  # the paper's images show 5 ms

@@ -7,12 +7,12 @@ height, is the gel from the side. Pictures are drawn at twice the size and avera
 from typing import Any
 
 import numpy as np
-from film_story import Act, Story
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from evetac_cli.events import Events
 from evetac_cli.kernels.event_representation import event_image
+from scripts.pictures.film_story import Act, Story
 
 FINE = 2  # enlargement while drawing
 ARROWS = 5.0  # times the true displacement

@@ -2,7 +2,7 @@
 
     python scripts/ship/ship_model.py models/shipped/disp-xy-grip-10ms.model.h5
 
-Its results on unseen objects are in the tables `slip-detectors-...` of docs/results, which judge_slip.py makes.
+Its results on unseen objects are in the tables `slip-detectors-...` of docs/results, which studies/slip/judge.py makes.
 """
 
 import json

@@ -20,10 +20,8 @@ from PIL import Image
 
 from evetac_cli.formats.exports import export_folder
 from evetac_cli.inspect.export import trial_files
+from scripts import first_hour
 from tests.formats.trials import write_grasp
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-import first_hour
 
 pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]

@@ -1,11 +1,9 @@
 """scripts/first_hour.py: blocks of a page are run in one shell, and what they print is held to the page."""
 
 import os
-import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-import first_hour
+from scripts import first_hour
 
 PAGE = """# A page
 

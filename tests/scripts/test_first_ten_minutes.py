@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-import first_hour
+from scripts import first_hour
 
 ROOT = first_hour.ROOT
 PAGE = (ROOT / "docs" / "hardware.md").read_text().partition("\n## Ten minutes\n")[2].partition("\n## ")[0]

@@ -1,15 +1,11 @@
 """scripts/lowest.py: the lowest versions that pyproject.toml allows, of everything, none above the tested one."""
 
 import re
-import sys
-from pathlib import Path
 
 import pytest
 from packaging.version import Version
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-
-import lowest
+from scripts import lowest
 
 
 def test_a_bound_becomes_a_pin() -> None:

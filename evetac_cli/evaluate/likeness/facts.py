@@ -7,7 +7,8 @@ Every fact has a class, because a fact by which a constant was chosen confirms n
 `used to fit`, `kept as a prediction`, and `cannot be told`: public sources contradict each other or do not state what
 was done.
 
-Facts whose figure needs trainings, grasps or many trials name a table of docs/results: scripts/likeness.py reads it.
+Facts whose figure needs trainings, grasps or many trials name a table of docs/results, which
+scripts/studies/likeness/run.py reads.
 """
 
 import functools
@@ -39,7 +40,7 @@ class Fact:
       of a share of this many trials, or the ends;
     - measures: of recordings; in `NAME@SCENE`, simulations count only if they are of this scene;
     - table: a file of docs/results, with its `row` and `value_of`: a column, columns, or a function of
-      scripts/likeness.py;
+      scripts/studies/likeness/run.py;
     - constant: a constant of data/*.toml;
     - counts: its number among the counted facts;
     - fits: what was chosen by it;

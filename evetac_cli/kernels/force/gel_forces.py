@@ -24,8 +24,8 @@ ROUNDS = 5  # in which the error model is enlarged until it explains the residua
 AGREES_S = 1.0  # errors of samples within this time count as a single one, because they are correlated
 CREEP_ARMS = 2
 # Error that is the same in all samples of a contact: sd as a share of the force. From 40 simulated contacts of eight
-# shapes, seeds 6100-6104 (scripts/contact_maker.py). Net shear: 2.1 %, plus 0.06 mm2, which is part of the map's own
-# deviation. Normal force: 5.2 % about the median of 95.6 %.
+# shapes, seeds 6100-6104 (scripts/studies/touch/contact_maker.py). Net shear: 2.1 %, plus 0.06 mm2, which is part of
+# the map's own deviation. Normal force: 5.2 % about the median of 95.6 %.
 SHEAR_SHARE, NORMAL_SHARE = 0.02, 0.05
 # sd of the correction factor on a touch map's normal force. The map is 4 % low in the median of these contacts and 10 %
 # for the worst shape, and may differ for contacts of another gel or camera.

@@ -9,7 +9,7 @@ it may be. Labels abstain, with a reason, in three cases: the object slides far 
 or the recording did not determine the motion per event of the window. Slices of such an interval have the label -1.
 
 Constants are fitted to simulated slips of the digital twin (dots of 9 px, one-threshold friction). The seeds are listed
-in scripts/seeds.json, group `labels`; scripts/judge_labels.py evaluates them on other seeds.
+in scripts/reproduce/seeds.json, group `labels`; scripts/studies/labels/judge.py evaluates them on other seeds.
 
 The evidence of a slice is two numbers: how far the dot that follows the object best moves per pixel of the object, and
 how fast the object moves relative to the gel. Their weighted sum is the log odds that the object slides as one body.

@@ -199,7 +199,8 @@ FORCE_X, FORCE_Y, TORSION, NORMAL, MOMENT_X, MOMENT_Y = range(6)
 OF_SHEAR = 3  # sums that need no pressure
 TEMPER = 0.1  # factor on the patches' log likelihoods, chosen on seeds 6000-6011 together with CUTS
 # Factors on the deviations that bring coverage closest to 68 and 95 %. Fitted to 400 simulated contacts of eight
-# shapes, seeds 6000-6049 (scripts/touch_contacts.py --calibrate). Those of sums are in the order FORCE_X, FORCE_Y, ...
+# shapes, seeds 6000-6049 (scripts/studies/touch/contacts.py --calibrate). Those of sums are in the order FORCE_X,
+# FORCE_Y, ...
 SUM_FACTORS = np.array([1.07, 1.07, 1.23, 2.18, 1.06, 1.06])
 TRACTION_FACTORS = np.array([0.82, 0.82, 1.62])
 AREA_FACTOR = 1.86  # on the patches' sd of the area; truth: cells above 5 % of the largest pressure

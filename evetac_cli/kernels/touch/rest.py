@@ -19,8 +19,8 @@ BLOCK_MS = 5  # ms per mean
 REST_MS = 200
 REST_BLOCKS = REST_MS // BLOCK_MS
 # Changes within this many deviations of the tracker's error count as none: of each dot, and of all together. In 200 ms
-# the errors in scripts/sticking_trials.py change by 0.6 deviations. The limits leave room for the largest of 40 blocks
-# in most rests; chosen by judgement.
+# the errors in scripts/studies/sticking/trials.py change by 0.6 deviations. The limits leave room for the largest of
+# 40 blocks in most rests; chosen by judgement.
 OWN, COMMON = 1.6, 2.0
 LEAST_DOTS = 4  # tracked dots: with fewer, the state is never rest
 

@@ -39,7 +39,7 @@ def read_network(path: Path) -> StickingNetwork:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             return StickingNetwork.of_arrays({name: arrays[name] for name in arrays.files})
     except (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
-        expected, found = "named arrays (.npz) as written by scripts/train_sticking.py", str(error)
+        expected, found = "named arrays (.npz) as written by scripts/studies/sticking/train.py", str(error)
         raise InputError("not a sticking-share network", where=str(path), expected=expected, found=found) from None
 
 

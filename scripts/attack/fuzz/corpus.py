@@ -10,16 +10,13 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-import bags
-import event_files
 import numpy as np
-import tables
-import wire
 
 from evetac_cli.resources import SCENES
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.store.recordings.segments import RecordingWriter
+from scripts.attack.fuzz import bags, event_files, tables, wire
 
 COMMANDS = """
 record --scene short.toml --seed 1 --out first.recording.h5

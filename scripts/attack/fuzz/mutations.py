@@ -11,7 +11,8 @@ from typing import Any
 
 import h5py
 import numpy as np
-import tables
+
+from scripts.attack.fuzz import tables
 
 Rng = np.random.Generator
 BYTES = (

@@ -35,13 +35,11 @@ from typing import Any
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ.setdefault(_name, "1")  # threads do not survive the fork
 
-import corpus  # noqa: E402
-import mutations  # noqa: E402
 import numpy as np  # noqa: E402
-import wire  # noqa: E402
 
 from evetac_cli.cli import main as command_line  # noqa: E402
 from evetac_cli.store import index  # noqa: E402
+from scripts.attack.fuzz import corpus, mutations, wire  # noqa: E402
 
 HANG_S = 20  # of processor time, in s, so that a busy computer makes no difference
 WAITS_S = 600.0  # of waiting, in s

@@ -38,7 +38,7 @@ def write(folder: Path) -> None:
 
 def damage_index(path: Path, rng: Rng) -> str:
     """Damage the index of a folder that is up to date: its values, the file in its place, or its bytes."""
-    from mutations import damage_bytes
+    from scripts.attack.fuzz.mutations import damage_bytes
 
     place = path / index.NAME
     if rng.random() < 0.3:
@@ -75,7 +75,7 @@ def _instead(place: Path, rng: Rng) -> str:
 
 def damage_parquet(path: Path, rng: Rng) -> str:
     """Rewrite a table with one change, or damage its bytes."""
-    from mutations import damage_bytes
+    from scripts.attack.fuzz.mutations import damage_bytes
 
     if rng.random() < 0.3:
         return damage_bytes(path, rng)

@@ -1,6 +1,5 @@
-"""A benchmark's folder, made by the functions of scripts/benchmark_files.py from the recordings of the session."""
+"""A benchmark's folder, made by the functions of scripts/benchmark/files.py from the recordings of the session."""
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +9,8 @@ from evetac_cli.evaluate.benchmark import data_set
 from evetac_cli.evaluate.benchmark.data_set import Benchmark, Truth
 from evetac_cli.sim.setup import object_file, scene_file
 from evetac_cli.text_files import as_toml
+from scripts.benchmark import files, trials
 from tests.conftest import Made
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "scripts"))
-import benchmark_files
-import benchmark_trials
 
 KINDS = ("slip", "slip", "press", "handling")
 
@@ -26,10 +22,10 @@ def bench_folder(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Path:
     from evetac_cli.stages import trim
     from evetac_cli.store.recordings.read import open_recording, true_onset
 
-    said = benchmark_trials.recipe() | {"dots_every_ms": 100, "force_every_ms": 100}
+    said = trials.recipe() | {"dots_every_ms": 100, "force_every_ms": 100}
     folder = tmp_path_factory.mktemp("bench") / "bench"
     folder.mkdir()
-    benchmark_files.prepare(folder)
+    files.prepare(folder)
     paths = [*made.recordings, made.folder / "apart.recording.h5"]
     with open_recording(paths[-1]) as recording:
         onset = true_onset(recording)
@@ -39,7 +35,7 @@ def bench_folder(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Path:
     trim.run(job, cut)
     rows: list[dict[str, Any]] = []
     for number, (path, kind) in enumerate(zip([*paths[:-1], job.output], KINDS, strict=True)):
-        row = benchmark_files.divide(said, path, folder, f"r{number}", f"sensor-{number % 2}", presses=kind == "press")
+        row = files.divide(said, path, folder, f"r{number}", f"sensor-{number % 2}", presses=kind == "press")
         more = {"kind": kind, "split": ("known-sensor", "all-new")[number % 2], "mm_per_px": 0.04}
         true = {"true_sensor": f"randomized:{95000 + number % 2}", "true_object": f"new-{number}", "seed": 95000}
         rows.append({**row, **more, **true, "motion": "slip"})
@@ -47,7 +43,7 @@ def bench_folder(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Path:
     texts = {"scene": scene_file.changed("lift", {}), "object": object_text(11)}
     for name, text in texts.items():
         (folder / "truth" / "lifts" / f"g0.{name}.toml").write_text(text)
-    benchmark_files.finish(folder, said, "test", rows, {"g0": lift})
+    files.finish(folder, said, "test", rows, {"g0": lift})
     return folder
 
 

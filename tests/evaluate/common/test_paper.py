@@ -4,7 +4,6 @@ import ast
 import dataclasses
 import importlib.util
 import re
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -29,11 +28,8 @@ from evetac_cli.pages.report import evaluations, page
 from evetac_cli.pages.report.study import Found
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.layout.ancestry import without_training_files
-
-sys.path.insert(0, str(PACKAGE.parent / "scripts"))
-import experiment_tables
-import reproduce
-import results
+from scripts.reproduce import results, run
+from scripts.reproduce import tables as experiment_tables
 
 ROW = {
     "preset": "paper", "trajectories": 10, "decided": 10, "consistent": 7, "consistent_share": 0.7,
@@ -61,7 +57,7 @@ def header(scene: str, *, simulated: bool = True) -> dict[str, Any]:
 def in_table(evaluated: dict[str, Any]) -> str:
     """The paper's figure and mark in the table of the documentation."""
     evaluation = experiment_tables.Evaluation([ROW], {}, True, evaluated)
-    result = reproduce.result(experiment_tables.TRACKING_EDGE, {"tracking-edge-cut": evaluation}, [])
+    result = run.result(experiment_tables.TRACKING_EDGE, {"tracking-edge-cut": evaluation}, [])
     share, mark = results.published(result["columns"][1], result["rows"][0], result)
     return f"{float(share.rstrip('%')) / 100:g}, {mark}"
 

@@ -11,7 +11,7 @@ import pytest
 from evetac_cli.errors import EvetacError
 from evetac_cli.inspect.doctor import compile_kernels
 from evetac_cli.resources import PACKAGE
-from scripts import experiment_steps
+from scripts.reproduce import steps as experiment_steps
 
 # Runs evetac, and prints on stderr the functions that it compiled.
 COUNTED = """

@@ -3,8 +3,6 @@
 import copy
 import math
 import pickle
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +10,7 @@ import pytest
 from evetac_cli.kernels.touch import touch_map
 from evetac_cli.kernels.touch.dot_motion import ENDLESS_MM, DotNoise, GelLayer
 from evetac_cli.kernels.touch.touch_map import LEAST_DOTS, RENEWAL_SLICES, TouchReading, TouchState
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "scripts"))
-from contact_maker import ContactMaker, KnownContact
+from scripts.studies.touch.contact_maker import ContactMaker, KnownContact
 
 DOTS = np.stack(np.meshgrid(np.linspace(-8, 8, 9), np.linspace(-6, 6, 7)), -1).reshape(-1, 2)
 LENS_MM = 25.0

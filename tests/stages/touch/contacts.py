@@ -1,6 +1,5 @@
 """Recordings of contacts whose tractions are known, pressed and then moved, and the tracks of their dots; no camera."""
 
-import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -12,10 +11,8 @@ from numpy.typing import NDArray
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.setup.plan import first_plan, one_sensor
 from evetac_cli.store.layout.provenance import Recipe
+from scripts.studies.touch.contact_maker import ContactMaker, KnownContact
 from tests.stages.force.dots_and_forces import write_trial
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "scripts"))
-from contact_maker import ContactMaker, KnownContact
 
 SENSOR = one_sensor("evetac")
 MM_PER_PX, MODULUS_PA = SENSOR.mm_per_px, 145e3  # of the layer that contacts are made on

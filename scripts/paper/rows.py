@@ -1,0 +1,289 @@
+"""The rows of the paper, each with evetac's figure or method beside it; page.py writes the page about them.
+
+    python scripts/paper/rows.py            # computes what scripts/paper/rows.json has as `computed`, and `awaiting`
+    python scripts/reproduce/results.py               # writes the tables of docs/evidence/paper.md
+
+`scripts/paper/rows.json` has a row for every statement of the paper. A figure names the table of docs/results, the row
+and the field with evetac's figure; a method names the module and the test that show it. What can be computed is
+computed here from the tables and from evetac_cli/evaluate, and a test compares it with what is written.
+
+The verdict of a figure is the first of these that applies:
+
+- `inside its spread`: evetac's figure is inside the paper's spread: the paper's mean less and plus its sd, Wilson's
+  95 % interval of a share of the paper's number of trials, or what its sentence allows. If the paper gives no spread,
+  its figure must be inside evetac's 95 % interval. Sds of single errors, as in the paper's table of forces, are no
+  spread.
+- `right direction`: every comparison that the paper draws with this figure has the same sign in evetac's figures. If
+  both figures have intervals, the interval of their difference excludes 0 (R. G. Newcombe, Interval estimation for the
+  difference between independent proportions, 1998; here also for means, with the intervals' own ends); otherwise the
+  sign alone decides. Against a number that the paper states, evetac's figure itself has to be on the stated side.
+- `not reproduced`: everything else, with the reason as far as it is known.
+
+`not applicable` has a reason, too. Methods have the verdict `same method`, or `other method` with what differs.
+"""
+
+import json
+import math
+import sys
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from evetac_cli.evaluate.common import marks
+from evetac_cli.evaluate.common.source import Source
+from evetac_cli.evaluate.subjects import PAPER
+from evetac_cli.jobs import Row, Rows
+from evetac_cli.kernels import estimates
+
+ROOT = Path(__file__).resolve().parents[2]
+ROWS = Path(__file__).with_name("rows.json")
+RESULTS = ROOT / "docs" / "results"
+INSIDE, DIRECTION, MISSED, NOT_APPLICABLE = "inside its spread", "right direction", "not reproduced", "not applicable"
+SAME, OTHER = marks.SAME, marks.METHOD
+VERDICTS = (INSIDE, DIRECTION, MISSED, SAME, OTHER, NOT_APPLICABLE)
+NOT_YET = "no table yet"
+
+
+class Ours(NamedTuple):
+    """A figure of evetac with the ends of its 95 % interval, if it has one, and its mark beside the paper's."""
+
+    value: float
+    low: float | None = None
+    high: float | None = None
+    mark: str | None = None
+
+    @property
+    def has_interval(self) -> bool:
+        """Whether both ends are known."""
+        return self.low is not None and self.high is not None
+
+
+class Awaited(Exception):
+    """A figure that cannot be shown yet: its table, row, field or interval is missing. The message names which."""
+
+
+@cache
+def _table(results: Path, name: str) -> Row | None:
+    path = results / f"{name}.json"
+    return json.loads(path.read_text()) if path.is_file() else None
+
+
+def row_of(results: Path, table: str, select: Mapping[str, Any]) -> tuple[Row, Row]:
+    """Return a table and its one row with these values; raise Awaited if there is none, ValueError for several."""
+    found = _table(results, table)
+    if found is None:
+        raise Awaited(f"{table}: no such table")
+    rows = [row for row in found["rows"] if select.items() <= row.items()]
+    if not rows:
+        raise Awaited(f"{table}: no row {json.dumps(dict(select))}")
+    if len(rows) > 1:
+        raise ValueError(f"{table}: {len(rows)} rows {json.dumps(dict(select))}, expected one")
+    return found, rows[0]
+
+
+def published(entry: Row, results: Path = RESULTS) -> marks.PaperFigure | None:
+    """Return the paper's figure of an entry, by its key or by the column next to evetac's figure.
+
+    None for a statement without a figure.
+    """
+    if "figure" in entry:
+        return PAPER.figures[tuple(entry["figure"])]
+    if "column" not in entry:
+        return None
+    _, row = row_of(results, entry["table"], entry["row"])
+    missing = [name for name in PAPER.columns[entry["column"]].needs if name not in row]
+    if missing:
+        raise Awaited(f"{entry['table']}: no field {', '.join(missing)}")
+    return PAPER.figures[PAPER.columns[entry["column"]].key(row)]
+
+
+def ours(entry: Row, rows: Mapping[str, Row], results: Path = RESULTS, *, need_interval: bool = True) -> Ours:
+    """Return evetac's figure of an entry, of a row by itself or derived from those of other entries.
+
+    Raises Awaited if it is missing, or if the entry names an interval that is missing and `need_interval` is set.
+    """
+    if "derived" in entry:
+        ((how, (above, below)),) = entry["derived"].items()
+        first, second = (ours(rows[number], rows, results, need_interval=False) for number in (above, below))
+        ratio = first.value / second.value
+        both = [one.mark for one in (first, second) if one.mark is not None]
+        mark = min(both, key=marks.MARKS.index, default=None)
+        return Ours(ratio if how == "ratio" else 1 - ratio, mark=mark)
+    result, row = row_of(results, entry["table"], entry["row"])
+    if row.get(entry["field"]) is None:
+        raise Awaited(f"{entry['table']}: no field {entry['field']}")
+    low, high = _interval(entry, row, need_interval=need_interval)
+    return Ours(float(row[entry["field"]]), low, high, _mark(entry, row, result))
+
+
+def _mark(entry: Row, row: Row, result: Row) -> str | None:
+    """Return the mark of paper.py for an entry's row; None if the paper has no figure."""
+    if "column" not in entry:
+        return None
+    source = Source.from_json(result.get("sources", {}).get(row.get("evaluation")) or result.get("source", {}))
+    column = PAPER.columns[entry["column"]]
+    if any(name not in row for name in column.needs):
+        return None
+    figure = PAPER.figures[column.key(row)]
+    return marks.mark(figure, column.ours(row, source), simulated=source.simulated)
+
+
+def _interval(entry: Row, row: Row, *, need_interval: bool) -> tuple[float | None, float | None]:
+    """Return the ends of an interval: two fields, a share of a number of trials (Wilson), or a mean (Student)."""
+    how = entry.get("interval")
+    if how is None:
+        return None, None
+    fields = how if isinstance(how, list) else list(how.values())
+    if missing := [name for name in fields if row.get(name) is None]:
+        if need_interval:
+            raise Awaited(f"{entry['table']}: no field {', '.join(missing)}")
+        return None, None
+    if isinstance(how, list):
+        return float(row[how[0]]), float(row[how[1]])
+    if "share_of" in how:
+        count = int(row[how["share_of"]])
+        return estimates.share(round(row[entry["field"]] * count), count)[1:]
+    from scipy import stats
+
+    count = int(row[how["n"]])
+    half = float(stats.t.ppf((1 + estimates.LEVEL) / 2, count - 1)) * row[how["sd"]] / math.sqrt(count)
+    return row[entry["field"]] - half, row[entry["field"]] + half
+
+
+def holds(claim: Row, entry: Row, rows: Mapping[str, Row], results: Path = RESULTS) -> bool:
+    """Whether a comparison that the paper draws holds for evetac's figures.
+
+    A claim is that a figure is `above` or `below` another one: that of another entry (`row`), of another row of its
+    table (`select`), or of another field (`field`), or so many `times` it. With `than` it is compared with a number
+    that the paper states, or with `paper`, the paper's own figure.
+    """
+    mine = ours(entry, rows, results, need_interval=False)
+    sign = 1 if claim["is"] == "above" else -1
+    if "than" in claim:
+        figure = published(entry, results)
+        stated = figure.value if claim["than"] == "paper" and figure is not None else claim["than"]
+        return sign * (mine.value - stated) > 0
+    if "row" in claim:
+        other = ours(rows[claim["row"]], rows, results, need_interval=False)
+    else:
+        changed = {"row": {**entry["row"], **claim.get("select", {})}, "field": claim.get("field", entry["field"])}
+        plain = {
+            key: one for key, one in entry.items() if key not in ("column", "interval" if "field" in claim else "")
+        }
+        other = ours({**plain, **changed}, rows, results, need_interval=False)
+        other = other._replace(value=claim.get("times", 1.0) * other.value)
+    higher, lower = (mine, other) if sign > 0 else (other, mine)
+    difference = higher.value - lower.value
+    if not (higher.has_interval and lower.has_interval):
+        return difference > 0
+    assert higher.low is not None and lower.high is not None
+    return difference - math.hypot(higher.value - higher.low, lower.high - lower.value) > 0
+
+
+def computed(entry: Row, rows: Mapping[str, Row], results: Path = RESULTS) -> Row:
+    """Return what follows from the tables and the paper for an entry: figures, spread, mark and verdict."""
+    if entry["kind"] == NOT_APPLICABLE:
+        return {"verdict": NOT_APPLICABLE}
+    if entry["kind"] == "method":
+        return {"verdict": OTHER if entry.get("differs") else SAME}
+    try:
+        mine, figure = ours(entry, rows, results, need_interval=False), published(entry, results)
+        figures = {} if figure is None else {"paper": figure.value, "unit": figure.unit, "where": figure.where}
+        spread = None if figure is None else figure.spread
+        found = {**figures, "spread": spread and [_rounded(end) for end in spread], "ours": _rounded(mine.value)}
+        ends = [_rounded(end) for end in mine[1:3]] if mine.has_interval else None
+        verdict = _verdict(entry, mine, figure, rows, results)
+    except Awaited:
+        return {"verdict": NOT_YET}
+    return {**found, "interval": ends, "mark": mine.mark, "verdict": verdict}
+
+
+def _verdict(entry: Row, mine: Ours, figure: marks.PaperFigure | None, rows: Mapping[str, Row], results: Path) -> str:
+    if figure is not None:
+        spread, value = (figure.spread, mine.value) if figure.spread is not None else (mine[1:3], figure.value)
+        low, high = spread
+        if low is not None and high is not None and low <= value <= high:
+            return INSIDE
+    claims = entry.get("direction", [])
+    return DIRECTION if claims and all(holds(claim, entry, rows, results) for claim in claims) else MISSED
+
+
+def _rounded(value: float | None) -> float | None:
+    """Return a figure with four significant digits: more would differ between computers."""
+    return None if value is None else float(f"{value:.4g}")
+
+
+def awaiting(entries: Rows, results: Path = RESULTS) -> list[str]:
+    """Return, for each figure whose table, row, field or interval is missing, its number and what is missing."""
+    rows = by_number(entries)
+    missing = []
+    for entry in entries:
+        try:
+            if entry["kind"] == "figure":
+                ours(entry, rows, results)
+                published(entry, results)
+                for claim in entry.get("direction", []):
+                    holds(claim, entry, rows, results)
+        except Awaited as error:
+            missing.append(f"{entry['number']}: {error}")
+    return missing
+
+
+def by_number(entries: Rows) -> dict[str, Row]:
+    """Return entries by number, such as 19a."""
+    return {entry["number"]: entry for entry in entries}
+
+
+def needed(table: str) -> set[str]:
+    """Return the fields of a table that entries need, which are therefore stored with it."""
+    fields: set[str] = set()
+    for entry in read()["rows"]:
+        if entry.get("table") != table:
+            continue
+        how = entry.get("interval") or []
+        fields |= {entry["field"], *entry["row"], *(how if isinstance(how, list) else how.values())}
+        for claim in entry.get("direction", []):
+            fields |= {*claim.get("select", {}), *([claim["field"]] if "field" in claim else [])}
+        if "column" in entry:
+            column = PAPER.columns[entry["column"]]
+            fields |= {*column.needs, *column.may_need}
+    return fields
+
+
+def read(path: Path = ROWS) -> Row:
+    """Return the file of rows."""
+    content: Row = json.loads(path.read_text())
+    return content
+
+
+def filled(content: Row, results: Path = RESULTS) -> Row:
+    """Return the file's content with everything computed anew."""
+    rows = by_number(content["rows"])
+    entries = [{**entry, "computed": computed(entry, rows, results)} for entry in content["rows"]]
+    return {**content, "awaiting": awaiting(entries, results), "rows": entries}
+
+
+def counts(entries: Rows) -> dict[str, int]:
+    """Return the number of entries by verdict, in the order of VERDICTS."""
+    verdicts = [entry["computed"]["verdict"] for entry in entries]
+    return {name: verdicts.count(name) for name in (*VERDICTS, NOT_YET) if name in verdicts}
+
+
+def main() -> None:
+    """Compute what follows from the tables, write it into the file, and print the counts."""
+    content = filled(read())
+    ROWS.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n")
+    for kind in ("figure", "method", NOT_APPLICABLE):
+        print(kind, counts([entry for entry in content["rows"] if entry["kind"] == kind]))
+    if content["awaiting"]:
+        print("awaiting:", *content["awaiting"], sep="\n  ")
+    unexplained = [
+        entry["number"] for entry in content["rows"] if entry["computed"]["verdict"] == MISSED and not entry.get("why")
+    ]
+    if unexplained:
+        sys.exit(f"not reproduced, without a reason (why): {', '.join(unexplained)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,240 @@
+"""Say for each table how a check repeats it: with what sizes, which figures are judged, and on which trials.
+
+check_tables.py runs the checks. The sizes are about a tenth of the experiment's, and its first trials, so a row whose
+trials are all repeated must come out equal. Where the whole experiment takes minutes, it is repeated whole.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from evetac_cli.jobs import Rows
+from scripts.reproduce.steps import ROOT, Command, Sizes, script
+from scripts.reproduce.tables import RECIPE_CHANGED, Evaluations, grasp_rows, object_rows
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure that is judged: the column `above`, or the ratio of two columns, summed over trials.
+
+    A mean over trials needs no second column.
+
+    - squared: the figure is a root mean square, so that squares are averaged.
+    - count: in a table without rows of trials, the column with the number of trials of a share.
+    """
+
+    above: str
+    below: str = ""
+    count: str = ""
+    squared: bool = False
+
+    @property
+    def name(self) -> str:
+        return f"{self.above}/{self.below}" if self.below else self.above
+
+
+@dataclass(frozen=True)
+class Check:
+    """How a table is checked.
+
+    - key: the columns by which its rows are matched, also the rows of single trials.
+    - trials: returns a row per trial, with the columns of `key` and of the figures, and with `unit`: the object, sensor
+      or recording that is resampled. Without it, the figures of the table itself must be ratios of counts, or shares of
+      a count.
+    - training: words of the command that trains again, for a table with frozen models.
+    - unpromised: columns of figures that no run repeats, such as run times.
+    """
+
+    key: tuple[str, ...]
+    figures: tuple[Figure, ...] = ()
+    trials: Callable[[Evaluations], Rows] | None = None
+    training: tuple[str, ...] = ()
+    unpromised: tuple[str, ...] = ()
+
+
+# Sizes of the experiments of which a part is repeated; the others are repeated whole.
+SIZES: dict[str, Sizes] = {
+    "paper-recipe": {"test": 1},  # of 10 trajectories of each object
+    "tracking": {"edges": 5},  # of 50
+    "vibration": {"randomized": 2},  # of 20
+    "grasp-table": {"trials": 1, "alone": 1},  # of 10 and 5
+    "blind-identification": {"sensors": 2},  # of 20
+}
+
+
+def slip_trials(evaluations: Evaluations) -> Rows:
+    """Return a row per model and trajectory of slip; the unit is the object."""
+    rows: Rows = []
+    for name, evaluation in evaluations.items():
+        _, _, rest = name.partition("recipe-")
+        change, _, role = rest.partition("-")
+        tags = {"change_words": RECIPE_CHANGED.get(change, change)} if change else {}
+        tags["objects_words"] = "trained on" if role == "known" else "unseen"
+        settings = {row["setting"]: row for row in evaluation.rows if "seeds" in row and "slip_correct" in row}
+        for row in (row for row in evaluation.rows if "timing" in row and row["timing"] is not None):
+            setting = settings[row["setting"]]
+            what = {key: setting[key] for key in ("setting", "model", "horizon_ms")}
+            timing = {f"slip_{when}": row["timing"] == when for when in ("correct", "early", "late")}
+            rows.append({**tags, **what, **timing, "f1": row["f1"], "file": row["file"], "unit": row["object"]})
+    return rows
+
+
+SLIP = tuple(map(Figure, ("slip_correct", "slip_early", "slip_late", "f1")))
+
+
+def edge_trials(evaluations: Evaluations) -> Rows:
+    """Return a row per preset and trajectory; the unit is the trajectory."""
+    rows = [row for each in evaluations.values() for row in each.rows if "file" in row]
+    return [
+        {
+            "preset": row["preset"],
+            "file": row["file"],
+            "unit": row["file"],
+            "consistent": row["consistent"],
+            "trajectories": 1,
+            "dots_lost_mean": row["dots_lost"] or None,  # a mean over the trajectories that lose any
+        }
+        for row in rows
+        if row["consistent"] is not None
+    ]
+
+
+def distance_trials(evaluations: Evaluations) -> Rows:
+    """Return a row per scene, gel, preset and trajectory; the unit is the trajectory."""
+    rows = []
+    for name, evaluation in evaluations.items():
+        _, scene, gel = name.split("-")
+        trials = (row for row in evaluation.rows if "file" in row)
+        rows += [{**row, "scene": scene, "gel": gel, "unit": row["file"]} for row in trials]
+    return rows
+
+
+def window_trials(evaluations: Evaluations) -> Rows:
+    """Return a row per method, tone, window length and recording; the unit is the recording."""
+    rows = [row for each in evaluations.values() for row in each.rows if "window_s" in row and "correct" in row]
+    return [{**row, "unit": row["file"]} for row in rows]
+
+
+def rate_trials(evaluations: Evaluations) -> Rows:
+    """Return a row per object, interval and recording; the unit is the recording."""
+    rows = []
+    for name, evaluation in evaluations.items():
+        what = {"object": int(name.rpartition("-")[2])}
+        for row in (row for row in evaluation.rows if "file" in row):
+            for interval in ("whole", "contact", "slip"):
+                share = {"share_mean": row[f"share_{interval}"], "interval": interval}
+                rows.append({**what, **share, "file": row["file"], "unit": row["file"]})
+    return rows
+
+
+def force_trials(evaluations: Evaluations) -> Rows:
+    """Return a row per tracker, model, sensor and trajectory; the unit is the trajectory."""
+    return [
+        {**row, "tracker": name.rpartition("-")[2], "unit": row["file"]}
+        for name, evaluation in evaluations.items()
+        for row in evaluation.rows
+        if "mae_n_x" in row
+    ]
+
+
+def grasp_trials(evaluations: Evaluations) -> Rows:
+    """Return a row per grasp with its setting without gain, as the table has it; the unit is the object."""
+    from evetac_cli.evaluate.grasp.measure import without_gain
+
+    rows = []
+    for name, evaluation in evaluations.items():
+        shown = [*grasp_rows({name: evaluation}), *object_rows({name: evaluation})]
+        detectors = {row["setting"]: row["detector"] for row in shown}
+        for row in (row for row in evaluation.rows if "file" in row):
+            held = {"success": bool(row["balanced"]), "unit": row["object"]}
+            if not row["balanced"]:  # the table's means are over trials that kept the object
+                held |= dict.fromkeys(("force_end_n", "moved_mm_mean"))
+            else:
+                held["moved_mm_mean"] = row["moved_mm"]
+            setting = without_gain(row["setting"])
+            rows.append({**row, **held, "setting": setting, "detector": detectors.get(setting, "none")})
+    return rows
+
+
+GRASPS = tuple(map(Figure, ("success", "force_end_n", "moved_mm_mean")))
+CHECKS: dict[str, Check] = {
+    "paper-recipe": Check(
+        ("objects_words", "model", "horizon_ms"), SLIP, slip_trials,
+        training=("--model", "fast-slow", "--horizon-ms", "10"),
+    ),
+    "paper-recipe-changes": Check(
+        ("change_words", "objects_words", "model"), SLIP, slip_trials, training=("--out", "models/size"),
+    ),
+    "model-cost": Check(("setting",), unpromised=("time_us_median", "step_us_median", "pareto")),
+    # A tenth has one trial of each object: the interval of a single object is wide.
+    "slip-timing": Check(("object", "bin_words"), (Figure("share", count="slips"),)),
+    "slip-by-object": Check(("object", "setting"), (Figure("slip_correct", count="trajectories"),)),
+    "slip-over-time": Check(("model", "after_onset_ms")),  # one trajectory, in which one time follows from another
+    "true-slip-share": Check(("setting",), SLIP, slip_trials),
+    "tracking-edge": Check(("preset",), (Figure("consistent", "trajectories"), Figure("dots_lost_mean")), edge_trials),
+    "tracking-distance": Check(("scene", "gel", "preset"), (Figure("error_px_rms", squared=True),), distance_trials),
+    "data-rate": Check(("object", "interval"), (Figure("share_mean"),), rate_trials),
+    "vibration": Check(("method", "expected_hz", "window_s"), (Figure("correct", "windows"),), window_trials),
+    "vibration-randomized": Check(
+        ("method", "expected_hz", "window_s"), (Figure("correct", "windows"),), window_trials
+    ),
+    "force": Check(
+        ("tracker", "model", "sensor_name"), (Figure("mae_n_x"), Figure("mae_n_y")), force_trials,
+    ),
+    "grasps": Check(("setting", "detector"), GRASPS, grasp_trials),
+    "grasp-robustness": Check(("setting", "detector"), GRASPS, grasp_trials),
+    "grasps-by-object": Check(("setting", "detector", "object"), (Figure("success", count="trials"),)),
+    "blind-identification": Check(("parameter",), (Figure("estimated", "sensors"), Figure("held", "estimated"))),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ScriptCheck:
+    """How a table that its own script makes is checked: commands that put it into the folder `tables`, and minutes."""
+
+    commands: tuple[Command, ...]
+    minutes: float  # of a core, measured
+    check: Check
+    whole: bool = False  # whether all trials of the table are repeated
+
+
+SHIPPED = ROOT / "evetac_cli" / "data" / "models" / "slip-10ms.model.h5"
+SCRIPTS = {
+    "labels": ScriptCheck(
+        (script("studies/labels/judge.py", "--seeds", "50000-50009", "--trials", "20,10,6", "--rows", "rows",
+                "--out", "tables"),),
+        3.0,
+        Check(("sensors", "method"), (Figure("onsets_found", "trajectories"), Figure("abstained", "trajectories"))),
+    ),
+    "sticking-share": ScriptCheck(
+        (script("studies/sticking/judge.py", "--seeds", "60000-60999", "--minutes", 1, "--rows", "rows",
+                "--out", "tables"),),
+        4.0,
+        Check(("motion",), (Figure("network_in_time", count="slips"), Figure("rigid_in_time", count="slips"))),
+    ),
+    "slip-detectors-timing": ScriptCheck(
+        (script("studies/slip/judge.py", "judge", "--seed", 52000, "--minutes", 0.3, "--trials", 30, "--model",
+                f"ours 10 ms={SHIPPED}", "--rows", "rows", "--out", "tables"),),
+        4.0,
+        Check(("score",), tuple(Figure(name, count="slips") for name in ("correct", "early", "late"))),
+    ),
+    **{
+        name: ScriptCheck((script("studies/touch/contacts.py", "--seeds", "60000-60024", "--out", "tables"),), 2.0,
+                          Check(("what",)), whole=True)
+        for name in ("touch-contacts", "touch-coverage")
+    },
+    "touch-wrong-injected": ScriptCheck(
+        (script("studies/touch/wrong_dots.py", "--seeds", "60700-60703", "--out", "tables"),),
+        2.0,
+        Check(("wrong", "off_px"), (Figure("found", count="n"),)),
+        whole=True,
+    ),
+}  # fmt: skip
+# Tables that no check repeats, with the reason.
+NOT_CHECKED = {
+    "part-effects": "not frozen: a tenth of its pairs of trials has no interval",
+    "force-sensors": "not frozen: no result of the current method",
+    "force-objects": "not frozen: no result of the current method",
+    "touch-cost": "run times alone, which no run repeats",
+    "mujoco-grasps": "an example's results, which need MuJoCo",
+    "lift-baseline": "an example's results",
+}

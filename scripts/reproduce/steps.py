@@ -1,0 +1,361 @@
+"""Build the commands of every experiment from its sizes.
+
+A command is a list of words. Its globs are expanded in the experiment's folder when it runs, and `--jobs` is added
+then.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+
+Sizes = dict[str, Any]  # name -> int, text such as "1-9", or a tuple of names
+Command = list[str]
+GRID = ("--node-pitch-mm", 1.45)  # of every simulated grasp: its tables are of one grid
+
+
+def evetac(*words: object) -> Command:
+    return ["evetac", *(str(word) for word in words)]
+
+
+def script(name: str, *words: object) -> Command:
+    return ["python", f"scripts/{name}", *(str(word) for word in words)]
+
+
+def demo_steps(sizes: Sizes) -> Iterator[Command]:
+    """Return the demo's commands; training, validation and test trajectories have separate seeds."""
+    seed = sizes["seed"]
+    yield evetac("record", "--object", "3,6,8,9", "--count", sizes["learn"], "--seed", seed, "--out", "learn")
+    yield evetac("record", "--object", "3,6,8,9", "--seed", seed + 500, "--out", "choose")
+    yield evetac("record", "--object", "4,8,11", "--count", sizes["unseen"], "--seed", seed + 1000, "--out", "unseen")
+    yield evetac("track", "*/*.recording.h5")
+    yield evetac("label", "*/*.recording.h5", "--after-ms", 25)
+    yield evetac("featurize", "*/*.recording.h5")
+    yield evetac("train", "learn/*.features.h5", "--validate", "choose", "--model", "disp-xy", "--preset", "adam",
+                 "--epochs", sizes["epochs"], "--seed", seed, "--out", "slip.model.h5")  # fmt: skip
+    yield evetac("grasp", "--object", 11, "--seed", seed, *GRID, "--controller", "paper", "--model", "slip.model.h5",
+                 "--lift-s", 7, "--balance-s", 5, "--out", "with-detector.recording.h5")  # fmt: skip
+    yield evetac("grasp", "--object", 11, "--seed", seed, *GRID, "--controller", "none", "--lift-s", 7,
+                 "--balance-s", 0, "--out", "without-detector.recording.h5")  # fmt: skip
+
+
+def demo_evaluations(sizes: Sizes) -> dict[str, Command]:
+    return {
+        "labels": evetac("evaluate", "labels", "unseen/*.labels.h5"),
+        "tracking": evetac("evaluate", "tracking", "unseen/*.tracks.h5"),
+        "slip": evetac("evaluate", "slip", "unseen/*.features.h5", "--model", "slip.model.h5"),
+        "grasp": evetac("evaluate", "grasp", "with*-detector.recording.h5"),
+    }
+
+
+def true_share_steps(sizes: Sizes) -> Iterator[Command]:
+    """Run the same trainings on labels alone, and with the true slipping share of the contact in addition."""
+    roles = (("learn", "known", "train", sizes["seed"]), ("choose", "known", "validate", sizes["seed"] + 500),
+             ("unseen", "unseen", "test", sizes["judged"]))  # fmt: skip
+    for folder, objects, count, seed in roles:
+        yield evetac("record", "--scene", "slip", "--object", sizes[objects], "--count", sizes[count], "--seed", seed,
+                     "--out", folder)  # fmt: skip
+        yield evetac("label", f"{folder}/*.recording.h5")
+        yield evetac("track", f"{folder}/*.recording.h5")
+        share = ("--true-slip-share",) if folder == "learn" else ()
+        yield evetac("featurize", f"{folder}/*.recording.h5", *share)
+    for horizon_ms in sizes["horizon_ms"]:
+        for folder, words in (("labels", ()), ("truth", ("--learn-true-slip-share",))):
+            yield evetac("train", "learn/*.features.h5", "--model", sizes["model"], "--horizon-ms", horizon_ms, *words,
+                         "--preset", "adamw", "--max-steps", sizes["steps"], "--validate", "choose",
+                         "--seed", sizes["seed"], "--seeds", sizes["seeds"], "--out", f"models/{folder}")  # fmt: skip
+
+
+RECIPE: Sizes = {
+    "seed": 9_000,  # of the trajectories for training; 500 later: those on which checkpoint and threshold are chosen
+    "judged": 91_000,  # of the trajectories for evaluation, known objects; 500 later: unseen objects
+    "known": "1-9",
+    "unseen": "10-17",
+    "train": 35,  # of each object: 315 for training, and 45 on which checkpoint and threshold are chosen
+    "choose": 5,
+    "test": 10,
+    "models": ("fast-slow", "hist20", "hist10", "no-hist", "events-only", "disp-only", "down5"),
+    "ahead": ("fast-slow", "hist20"),  # models that are also trained to warn
+    "horizon_ms": ("10", "20"),
+    "seeds": 5,
+    "steps": 150_000,  # upper limit of steps, for 70 epochs
+    "changes": ("tracker", "labels", "size", "noise"),
+    "change_seeds": 2,
+}
+SMALL_RECIPE: Sizes = {
+    "seed": 100,
+    "judged": 1_000,
+    "known": "3,8",
+    "unseen": "11",
+    "train": 2,
+    "choose": 1,
+    "test": 1,
+    "models": ("fast-slow",),
+    "ahead": (),
+    "seeds": 1,
+    "steps": 200,
+    "changes": ("tracker", "size"),
+    "change_seeds": 1,
+}
+CHANGED_MODEL = "fast-slow"  # the model that is trained for changed settings
+FEWER = ("*-00[1-9]", "*-01[0-2]")  # of 35 trajectories per object, when their number is varied
+FIRST_SEEDS = 2  # of training; all models and changes are trained with these before the other seeds follow
+
+
+def recipe_steps(sizes: Sizes) -> Iterator[Command]:
+    """Run the paper's recipe (tracker, labels, numbers of trajectories, training), then change one at a time."""
+    seed, judged = sizes["seed"], sizes["judged"]
+    roles = (("learn", "known", "train", seed), ("choose", "known", "choose", seed + 500),
+             ("known", "known", "test", judged), ("unseen", "unseen", "test", judged + 500))  # fmt: skip
+    learnt = "nothing/learn/*.features.h5"
+    for change in ("nothing", *sizes["changes"]):
+        if change == "size":  # trains on a subset of the trajectories
+            features = [f"nothing/learn/{name}.features.h5" for name in FEWER]
+            yield from _recipe_trainings(sizes, "nothing", change, sizes["change_seeds"], *features)
+            continue
+        recordings = "quiet" if change == "noise" else "recordings"
+        tracker = "stable" if change == "tracker" else "paper"
+        labels = "event-flow" if change == "labels" else "farneback"
+        for role, objects, count, first in roles:
+            here = f"{recordings}/{role}/*.recording.h5"
+            if change in ("nothing", "noise"):
+                sensor = ROOT / "scripts" / "paper/no-noise.sensor.toml" if change == "noise" else "evetac"
+                yield evetac("record", "--scene", "slip", "--sensor", sensor, "--object", sizes[objects],
+                             "--count", sizes[count], "--seed", first, "--out", f"{recordings}/{role}")  # fmt: skip
+            of_labels, of_tracks = (f"{recordings}/{how}/{role}" for how in (labels, tracker))
+            yield evetac("label", here, "--method", labels, "--out", of_labels)
+            yield evetac("track", here, "--preset", tracker, "--out", of_tracks)
+            yield evetac("featurize", here, "--tracks", of_tracks, "--labels", of_labels, "--out", f"{change}/{role}")
+        if change == "nothing":
+            yield from _recipe_trainings(sizes, change, change, min(FIRST_SEEDS, sizes["seeds"]), learnt)
+        else:
+            learnt_changed = f"{change}/learn/*.features.h5"
+            yield from _recipe_trainings(sizes, change, change, sizes["change_seeds"], learnt_changed)
+    if sizes["seeds"] > FIRST_SEEDS:
+        others = sizes["seeds"] - FIRST_SEEDS
+        yield from _recipe_trainings(sizes, "nothing", "nothing", others, learnt, first=FIRST_SEEDS)
+
+
+def _recipe_trainings(
+    sizes: Sizes, features: str, change: str, seeds: int, *learnt: str, first: int = 0
+) -> Iterator[Command]:
+    trained: list[tuple[str, ...]] = [(CHANGED_MODEL,)]
+    if change == "nothing":
+        trained = [(model,) for model in sizes["models"]]
+        trained += [(model, "--horizon-ms", ms) for model in sizes["ahead"] for ms in sizes["horizon_ms"]]
+    for words in trained:
+        yield evetac("train", *learnt, "--model", *words, "--preset", "paper", "--max-steps", sizes["steps"],
+                     "--validate", f"{features}/choose", "--seed", sizes["seed"] + first, "--seeds", seeds,
+                     "--out", f"models/{change}")  # fmt: skip
+
+
+def recipe_evaluations(sizes: Sizes) -> dict[str, Command]:
+    """Evaluate each training with its own tracker and labels on the same slips; then measure run times."""
+    evaluations = {
+        f"recipe-{change}-{role}": evetac(
+            "evaluate", "slip", f"{'nothing' if change == 'size' else change}/{role}/*.features.h5",
+            "--model", f"models/{change}/*.model.h5",
+            "--recordings", f"{'quiet' if change == 'noise' else 'recordings'}/{role}",
+        )
+        for change in ("nothing", *sizes["changes"])
+        for role in ("known", "unseen")
+    }  # fmt: skip
+    evaluations["model-cost"] = evetac("evaluate", "cost", "model", "recipe-nothing-unseen.report.h5",
+                                       "--model", "models/nothing/*.model.h5")  # fmt: skip
+    return evaluations
+
+
+TRACKING_SCENES = (
+    ("edge-cut", ("--scene", "edge")),
+    ("edge-closed", ("--scene", "edge", "--gel", "closed")),
+    *(
+        (f"{scene}-{gel}", ("--scene", scene, "--gel", gel, *objects))
+        for gel in ("cut", "closed")
+        for scene, objects in (("slip", ("--object", "3,8,11,16,18")), ("shear", ()))
+    ),
+)
+
+
+def tracking_steps(sizes: Sizes) -> Iterator[Command]:
+    count = {"edge-cut": sizes["edges"], "edge-closed": min(sizes["edges"], 5)}
+    for name, words in TRACKING_SCENES:
+        counted = ("--count", count[name]) if name in count else ()
+        yield evetac("record", *words, *counted, "--seed", sizes["seed"], "--out", name)
+        for preset in sizes["presets"]:
+            yield evetac("track", f"{name}/*.recording.h5", "--preset", preset, "--out", f"{name}/{preset}")
+
+
+def tracking_evaluations(sizes: Sizes) -> dict[str, Command]:
+    return {
+        f"tracking-{name}": evetac("evaluate", "tracking", f"{name}/*/*.tracks.h5", "--recordings", name)
+        for name, _ in TRACKING_SCENES
+    }
+
+
+def vibration_steps(sizes: Sizes) -> Iterator[Command]:
+    tones = ("--tone", ",".join(sizes["tones"])) if sizes["tones"] else ()
+    yield evetac("record", "--scene", "vibration", *tones, "--seed", sizes["seed"], "--out", ".")
+    yield evetac("record", "--scene", "vibration-randomized", *tones, "--count", sizes["randomized"],
+                 "--seed", sizes["seed"], "--out", "randomized")  # fmt: skip
+
+
+def vibration_evaluations(sizes: Sizes) -> dict[str, Command]:
+    seed, windows = sizes["seed"], ("--windows", "10,2,1,0.25")
+    files = {"vibration": f"vibration-*hz-s{seed}-000", "vibration-randomized": f"randomized/*hz-s{seed}-*"}
+    return {name: evetac("evaluate", "vibration", f"{file}.recording.h5", *windows) for name, file in files.items()}
+
+
+DATA_RATE_OBJECTS = ("1", "3", "5", "8", "11")
+
+
+def data_rate_steps(sizes: Sizes) -> Iterator[Command]:
+    """Record the data-rate scene; it gives every object an assumed weight, as the paper does not name its object."""
+    for number in sizes["objects"]:
+        yield evetac("record", "--scene", "data-rate", "--object", number, "--count", sizes["trajectories"],
+                     "--seed", sizes["seed"], "--out", f"object-{number}")  # fmt: skip
+
+
+def data_rate_evaluations(sizes: Sizes) -> dict[str, Command]:
+    return {
+        f"data-rate-object-{number}": evetac("evaluate", "data-rate", f"object-{number}/*.recording.h5")
+        for number in sizes["objects"]
+    }
+
+
+FORCE: Sizes = {
+    "seed": 8_700,  # of the trajectories for training
+    "judged": 93_500,
+    "trackers": ("paper", "stable"),
+    "seeds": 3,
+    "trials": 3,
+    "others": ("second", "soft-gel", "stiff-gel"),
+}
+
+
+def force_steps(sizes: Sizes) -> Iterator[Command]:
+    """Record force trajectories; the first one for evaluation has the same pushes on every gel."""
+    yield evetac("record", "--scene", "shear", "--count", 4, "--seed", sizes["seed"], "--out", "learn")
+    yield evetac("record", "--scene", "shear", "--count", sizes["trials"], "--seed", sizes["judged"],
+                 "--out", "unseen")  # fmt: skip
+    for other in sizes["others"]:
+        yield evetac("record", "--scene", "shear", "--sensor", other, "--seed", sizes["judged"], "--out", other)
+    folders = ("learn", "unseen", *sizes["others"])
+    for folder in folders:
+        for tracker in sizes["trackers"]:
+            yield evetac("track", f"{folder}/*.recording.h5", "--preset", tracker, "--out", f"{folder}/{tracker}")
+        yield evetac("track-rgb", f"{folder}/*.recording.h5", "--out", f"{folder}/rgb")
+    for dots in (*sizes["trackers"], "rgb"):
+        for seed in range(sizes["seed"], sizes["seed"] + sizes["seeds"]):
+            yield evetac("train-force", f"learn/{dots}/*.tracks.h5", "--seed", seed,
+                         "--out", f"models/{dots}/{dots}-{seed}.force-model.h5")  # fmt: skip
+
+
+def force_evaluations(sizes: Sizes) -> dict[str, Command]:
+    """Evaluate the dots of each tracker, and those in RGB frames, with the models trained on such dots."""
+    return {
+        f"force-{dots}": evetac("evaluate", "force",
+                                *(f"{folder}/{dots}/*.tracks.h5" for folder in ("unseen", *sizes["others"])),
+                                "--model", f"models/{dots}", "--seed", sizes["judged"])
+        for dots in (*sizes["trackers"], "rgb")
+    }  # fmt: skip
+
+
+FROZEN_MODELS = ROOT / "docs" / "results" / "models"
+PAPER_DETECTOR = (
+    "--model",
+    FROZEN_MODELS / "nothing" / "fast-slow-10ms-s9000.model.h5",
+)  # of the experiment paper-recipe
+# Controller and detector of each row of the grasp tables. A model trained by the paper's recipe has the threshold of
+# the paper's rule unless a number of false alarms is given.
+GRASP_SETTINGS: dict[str, Command] = {
+    "paper": ["--controller", "paper", *map(str, PAPER_DETECTOR), "--tracker", "paper"],
+    "paper-stable": ["--controller", "paper", *map(str, PAPER_DETECTOR)],
+    "paper-stable-false-alarms": ["--controller", "paper", *map(str, PAPER_DETECTOR), "--false-alarms-per-min", "4"],
+    "paper-pretrained": ["--controller", "paper", "--model", "shipped"],
+    "reset-stable": ["--controller", "paper-reset", *map(str, PAPER_DETECTOR)],
+    "load-proportional": ["--controller", "load-proportional", "--model", "shipped"],
+}
+# Those of the tests of robustness.
+ROBUST_SETTINGS = ("paper", "paper-stable", "paper-pretrained", "load-proportional")
+
+
+def grasp_steps(sizes: Sizes) -> Iterator[Command]:
+    """Grasp the objects of the paper's figure, some with double gain as there; then weights, sensor, closed gel."""
+    trials, half = sizes["trials"], (sizes["trials"] + 1) // 2
+
+    def grasp(out: str, count: int, objects: str, *words: object) -> Command:
+        named = ("--object", objects, "--count", count, "--seed", sizes["seed"], *GRID)
+        return evetac("grasp", *words, *named, "--out", out)
+
+    for name in sizes["settings"]:
+        setting = GRASP_SETTINGS[name]
+        gain = () if "load-proportional" in setting else ("--gain", 2)
+        if gain:
+            yield grasp(name, trials, sizes["objects"], *setting)
+            yield grasp(f"{name}-higher", trials, "14,19,20", *setting, *gain)
+        else:
+            yield grasp(name, trials, f"{sizes['objects']},19,20", *setting)
+        if name not in ROBUST_SETTINGS:
+            continue
+        tests = f"{name}-tests"
+        yield grasp(tests, trials, "16", *setting, "--scene", "sideways")
+        yield grasp(tests, trials, "16", *setting, "--scene", "drop-20g")
+        yield grasp(tests, trials, "16", *setting, *gain, "--scene", "drop-100g")
+        for gel in ("cut", "closed"):
+            second, folder = ("--sensor", "second", "--gel", gel), f"{name}-second-{gel}"
+            yield grasp(folder, half, "16,17", *setting, *second)
+            yield grasp(folder, half, "19,20", *setting, *gain, *second)
+    yield grasp("alone", sizes["alone"], "10-20", "--controller", "none", "--balance-s", 0)
+    for ticks in (4, 8, 16):
+        yield grasp(f"alone-{ticks}", sizes["alone"], "11,18", "--controller", f"fixed:{ticks}")
+
+
+def grasp_evaluations(sizes: Sizes) -> dict[str, Command]:
+    """Evaluate the grasps of each controller and detector on their own: settings do not name the detector."""
+    robust = [name for name in sizes["settings"] if name in ROBUST_SETTINGS]
+    return {
+        **{
+            f"grasps-{name}": evetac("evaluate", "grasp", f"{name}/*.recording.h5", f"{name}-higher/*.recording.h5")
+            for name in sizes["settings"]
+        },
+        "grasps-alone": evetac("evaluate", "grasp", "alone/*.recording.h5", "alone-*/*.recording.h5"),
+        **{
+            f"grasp-robustness-{name}": evetac(
+                "evaluate", "grasp", f"{name}-tests/*.recording.h5", f"{name}-second-*/*.recording.h5"
+            )
+            for name in robust
+        },
+    }
+
+
+def strip_steps(sizes: Sizes) -> Iterator[Command]:
+    seed = sizes["seed"]
+    for scene in ("slip", "data-rate", "shear", "press", "edge"):
+        yield evetac("record", "--scene", scene, "--seed", seed, "--out", f"{scene}.recording.h5")
+    yield script("pictures/strips.py", "--short-vibration", "vibration.toml")
+    yield evetac("record", "--scene", "vibration.toml", "--tone", 200, "--seed", seed,
+                 "--out", "vibration.recording.h5")  # fmt: skip
+    for scene in ("lift", "sideways", "drop-20g", "drop-100g"):
+        yield evetac("grasp", "--scene", scene, "--object", 16, "--seed", seed, *GRID, "--controller", "paper",
+                     "--model", "../demo/slip.model.h5", "--out", f"{scene}.recording.h5")  # fmt: skip
+    yield script("pictures/strips.py", "*.recording.h5", "--out", ".")
+
+
+def film_steps(sizes: Sizes) -> Iterator[Command]:
+    """Record the catch for the film, which shows the farthest slide that was caught."""
+    yield evetac("grasp", "--object", 17, "--seed", 0, *GRID, "--controller", "paper", "--model", "shipped",
+                 "--lift-s", 7, "--balance-s", 5, "--texture", "on", "--out", "catch.recording.h5")  # fmt: skip
+    yield evetac("track", "catch.recording.h5")
+    yield script("pictures/film.py", "catch.recording.h5", "--out", "catch.gif")
+
+
+def ship_steps(sizes: Sizes) -> Iterator[Command]:
+    """Record motions for the pretrained slip detector, train it, and put it into the package."""
+    some = ("--motions", ",".join(sizes["motions"])) if sizes["motions"] else ()
+    for role in ("learn", "choose"):
+        yield script("studies/slip/recordings.py", role, "--out", role, "--per-object", sizes["per_object"], *some)
+    yield script("studies/slip/train.py", "features", ".")
+    yield script("studies/slip/train.py", "train", ".", "--variant", "shipped", "--seeds", 1, "--steps", sizes["steps"],
+                 "--out", "models")  # fmt: skip
+    yield script("ship/ship_model.py", "models/shipped/*.model.h5")

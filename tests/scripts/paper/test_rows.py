@@ -1,0 +1,204 @@
+"""scripts/paper/rows.json: every row of the paper, what is computed of it, and the places that it names."""
+
+import copy
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from evetac_cli.commands.grasp import Grasp
+from evetac_cli.evaluate.common import marks
+from evetac_cli.evaluate.common.source import Source
+from evetac_cli.evaluate.grasp.paper import BALANCE_S, LIFT_S
+from evetac_cli.evaluate.slip.paper import SEEDS, TRAINED_ON
+from evetac_cli.evaluate.subjects import PAPER
+from scripts.paper import rows as paper_rows
+from scripts.reproduce import steps
+from scripts.reproduce.plan import EXPERIMENTS
+
+ROOT = paper_rows.ROOT
+CONTENT = paper_rows.read()
+ROWS = CONTENT["rows"]
+FIGURES = [one for one in ROWS if one["kind"] == "figure"]
+
+
+def test_every_row_of_the_paper_occurs() -> None:
+    """Assert that the numbers 1 to 100 occur, each with letters only where it is split, and each entry once."""
+    numbers = [one["number"] for one in ROWS]
+    assert len(numbers) == len(set(numbers))
+    assert sorted({int(re.sub(r"[a-z]$", "", number)) for number in numbers}) == list(range(1, 101))
+    assert {one["kind"] for one in ROWS} == {"figure", "method", paper_rows.NOT_APPLICABLE}
+
+
+def test_what_is_written_is_what_is_computed() -> None:
+    """Assert that figures, spreads, marks, verdicts and the list of what is awaited follow from the tables of today."""
+    filled = paper_rows.filled(CONTENT)
+    wrong = [old["number"] for old, new in zip(ROWS, filled["rows"], strict=True) if old != new]
+    assert wrong == [], "run python scripts/paper/rows.py"
+    assert filled["awaiting"] == CONTENT["awaiting"] == [], "run python scripts/paper/rows.py"
+
+
+@pytest.mark.parametrize("key", ["ours", "mark", "verdict"])
+def test_a_change_by_hand_is_noticed(key: str) -> None:
+    """Assert that a digit, a mark or a verdict changed by hand differs from what is computed."""
+    changed = copy.deepcopy(CONTENT)
+    entry = next(one for one in changed["rows"] if one["computed"].get("mark") == marks.SIZE)
+    entry["computed"][key] = {"ours": entry["computed"]["ours"] + 0.01, "mark": marks.SAME, "verdict": "reproduced"}[
+        key
+    ]
+    assert paper_rows.filled(changed) != changed
+
+
+def test_marks_are_those_of_the_tables() -> None:
+    """Assert that the mark of a figure is the one that its table shows beside the paper's."""
+    compared = 0
+    for one in FIGURES:
+        if "column" not in one or "mark" not in one["computed"]:
+            continue
+        result, row = paper_rows.row_of(paper_rows.RESULTS, one["table"], one["row"])
+        source = Source.from_json(result.get("sources", {}).get(row.get("evaluation")) or result["source"])
+        if beside := PAPER.beside(one["column"], row, source):
+            assert (beside.value, beside.mark) == (one["computed"]["paper"], one["computed"]["mark"]), one["number"]
+            compared += 1
+    assert compared > 0
+
+
+def test_figures_have_tables() -> None:
+    """Assert that at least 95 % of the figures name a table of the experiments, row and field, or others of them."""
+    names = {table.name for experiment in EXPERIMENTS for table in experiment.tables}
+    numbers = {one["number"] for one in ROWS}
+    with_table = [one for one in FIGURES if one.get("table") in names and one["row"] and one["field"]]
+    derived = [one for one in FIGURES if set(*one.get("derived", {0: [""]}).values()) <= numbers]
+    assert len(with_table) + len(derived) >= 0.95 * len(FIGURES)
+    for one in FIGURES:
+        assert one.get("column", "paper_success") in PAPER.columns, one["number"]
+        assert {claim["row"] for claim in one.get("direction", []) if "row" in claim} <= numbers, one["number"]
+
+
+def test_methods_name_modules_and_tests() -> None:
+    """Assert that the module and the test of each method exist."""
+    for one in (one for one in ROWS if one["kind"] == "method"):
+        path, _, name = one["test"].partition("::")
+        assert (ROOT / one["module"]).is_file(), one["number"]
+        assert re.search(rf"^(?:async )?def {name}\(", (ROOT / path).read_text(), re.MULTILINE), one["number"]
+
+
+def test_what_is_not_reproduced_has_a_reason() -> None:
+    """Assert that each figure without a match, each row that is not applicable and each other method has a reason."""
+    for one in ROWS:
+        if one["computed"]["verdict"] in (paper_rows.MISSED, paper_rows.NOT_APPLICABLE):
+            assert one["why"], one["number"]
+        if one["computed"]["verdict"] == paper_rows.OTHER:
+            assert one["differs"], one["number"]
+        assert one["computed"]["verdict"] in (*paper_rows.VERDICTS, paper_rows.NOT_YET)
+
+
+# The rules -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def tables(tmp_path: Path) -> Path:
+    """Tables of two settings: shares of 100 trials and their intervals."""
+    rows = [
+        {"name": "good", "share": 0.9, "low": 0.8, "high": 0.95, "trials": 100, "still": 2.0},
+        {"name": "near", "share": 0.86, "low": 0.76, "high": 0.92, "trials": 100, "still": 0.5},
+        {"name": "bad", "share": 0.5, "low": 0.4, "high": 0.6, "trials": 100, "still": 0.5},
+    ]
+    (tmp_path / "a.json").write_text(json.dumps({"rows": rows, "source": {}}))
+    return tmp_path
+
+
+def entry(name: str, **more: Any) -> dict[str, Any]:
+    """An entry about a row of the table."""
+    about = {"number": name, "kind": "figure", "table": "a", "row": {"name": name}, "field": "share"}
+    return {**about, "interval": ["low", "high"], **more}
+
+
+def verdict(one: dict[str, Any], tables: Path, *others: dict[str, Any]) -> str:
+    """The verdict of an entry among others."""
+    found: str = paper_rows.computed(one, paper_rows.by_number([one, *others]), tables)["verdict"]
+    return found
+
+
+def test_a_figure_inside_the_papers_spread(tables: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert limits, Wilson's interval of the paper's trials, and evetac's interval where the paper has no spread."""
+    for value, about, expected in (
+        (0.95, {"limits": (0.9, 1.0)}, paper_rows.INSIDE),
+        (0.95, {"limits": (0.91, 1.0)}, paper_rows.MISSED),
+        (0.95, {"trials": 20}, paper_rows.INSIDE),
+        (0.99, {"trials": 500}, paper_rows.MISSED),
+        (0.81, {}, paper_rows.INSIDE),
+        (0.79, {}, paper_rows.MISSED),
+    ):
+        figure = marks.PaperFigure(value, "share", "a table", marks.Conditions("", "", ()), **about)  # type: ignore[arg-type]
+        monkeypatch.setitem(PAPER.figures, ("test",), figure)
+        assert verdict(entry("good", figure=["test"]), tables) == expected, (value, about)
+
+
+@pytest.mark.parametrize(
+    ("claim", "expected"),
+    [
+        ({"is": "above", "row": "bad"}, paper_rows.DIRECTION),
+        ({"is": "below", "row": "bad"}, paper_rows.MISSED),
+        ({"is": "above", "row": "near"}, paper_rows.MISSED),  # not beyond the interval of the difference
+        ({"is": "above", "select": {"name": "bad"}}, paper_rows.DIRECTION),
+        ({"is": "below", "field": "still"}, paper_rows.DIRECTION),
+        ({"is": "above", "than": 0.85}, paper_rows.DIRECTION),  # inside the interval: the figure itself counts
+        ({"is": "above", "than": 0.95}, paper_rows.MISSED),
+    ],
+)
+def test_the_direction_of_comparisons(claim: dict[str, Any], expected: str, tables: Path) -> None:
+    """Assert when a comparison that the paper draws holds for a figure and its interval."""
+    assert verdict(entry("good", direction=[claim]), tables, entry("near"), entry("bad")) == expected
+
+
+def test_what_is_missing_is_awaited(tables: Path) -> None:
+    """Assert that a missing table, row, field or interval is named, and that several rows are an error."""
+    missing = [
+        entry("good", table="b"), entry("none"), entry("good", field="f1"), entry("good", interval=["low", "f1_high"])
+    ]  # fmt: skip
+    for number, one in enumerate(missing):
+        one["number"] = str(number)
+    assert paper_rows.awaiting([*missing, entry("bad")], tables) == [
+        "0: b: no such table", '1: a: no row {"name": "none"}', "2: a: no field f1", "3: a: no field f1_high",
+    ]  # fmt: skip
+    assert [paper_rows.computed(one, {}, tables)["verdict"] for one in missing[:3]] == [paper_rows.NOT_YET] * 3
+    with pytest.raises(ValueError, match="2 rows"):
+        paper_rows.row_of(tables, "a", {"still": 0.5})
+
+
+# What methods name ---------------------------------------------------------------------------------------------------
+
+
+def test_the_recipe_has_the_papers_sizes() -> None:
+    """Assert trajectories for training, for choosing and for evaluation, and the number of trainings."""
+    sizes = steps.RECIPE
+    known, unseen = (len(range(*map(int, sizes[name].split("-")))) + 1 for name in ("known", "unseen"))
+    assert (known * sizes["train"], known * sizes["choose"]) == (315, 45)
+    assert (known * sizes["test"], unseen * sizes["test"]) == (90, 80)
+    assert sizes["seeds"] == SEEDS and known * (sizes["train"] + sizes["choose"]) == TRAINED_ON
+
+
+def test_the_recipe_has_the_papers_method() -> None:
+    """Assert that tracker, labels and training are the paper's where nothing is changed."""
+    every = [list(step) for step in steps.recipe_steps({**steps.RECIPE, "changes": ()})]
+    chosen = {name: [step for step in every if step[1] == name] for name in ("label", "track", "train")}
+    assert all(step[step.index("--method") + 1] == "farneback" for step in chosen["label"])
+    assert all(step[step.index("--preset") + 1] == "paper" for step in (*chosen["track"], *chosen["train"]))
+    assert all(chosen.values())
+
+
+def test_the_papers_labels_have_figures() -> None:
+    """Assert that the table of labels judges Farneback's too."""
+    rows = json.loads((ROOT / "docs" / "results" / "labels.json").read_text())["rows"]
+    assert "farneback" in {row["method"] for row in rows}
+
+
+def test_grasps_have_the_papers_sizes() -> None:
+    """Assert durations, trials, objects and detector of the table of grasps."""
+    assert (Grasp().lift_s, Grasp().balance_s) == (LIFT_S, BALANCE_S)
+    (experiment,) = (one for one in EXPERIMENTS if one.name == "grasp-table")
+    assert (experiment.full["trials"], experiment.full["alone"], experiment.full["objects"]) == (10, 5, "10-18")
+    assert "fast-slow-10ms" in " ".join(steps.GRASP_SETTINGS["paper"])

@@ -1,0 +1,72 @@
+"""What docs/results say of a fact: columns, figures that follow from several rows, and what the tables do not have."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from evetac_cli.evaluate.likeness.facts import Ours, by_name, facts
+from scripts.reproduce.run import RESULTS
+from scripts.studies.likeness.run import of_table
+
+
+def told(folder: Path, fact: str, **rows: list[dict[str, Any]]) -> Ours:
+    """What a table of these rows, by name with _ for -, tells of a fact."""
+    for name, of_name in rows.items():
+        text = json.dumps({"made": "commit abc", "rows": of_name, "sizes": {"recordings": 7}})
+        (folder / f"{name.replace('_', '-')}.json").write_text(text)
+    return of_table(by_name(fact), folder)
+
+
+def network(name: str, correct: float, f1: float, **more: Any) -> dict[str, Any]:
+    """A row of the networks that were trained by the paper's recipe, judged on the objects that they learned from."""
+    of_recipe = {"objects_words": "trained on", "preset": "paper", "horizon_ms": 0}
+    return {"model": name, **of_recipe, "slip_correct": correct, "f1": f1, **more}
+
+
+def test_a_column_and_its_trials(tmp_path: Path) -> None:
+    """Assert that a column of the row is taken, with its number of trials and the version of the table."""
+    found = told(tmp_path, "grasps-kept", grasps=[{"setting": "paper", "success": 0.9, "trials": 12}])
+    assert found.values == (0.9,) and found.n == 12
+    assert found.origin == "docs/results/grasps.json, commit abc"
+
+
+def test_order_of_networks(tmp_path: Path) -> None:
+    """Assert that the order counts pairs, of timing and F1, and is not told where a network is missing."""
+    rows = [network("fast-slow", 0.9, 0.8), network("hist20", 0.8, 0.9), network("hist10", 0.7, 0.7)]
+    missing = told(tmp_path, "order-of-networks", paper_recipe=rows)
+    assert missing.values == () and "does not have it" in missing.not_measured
+    others = [network("hist10", 0.0, 0.0, objects_words="unseen")]  # which do not count
+    found = told(tmp_path, "order-of-networks", paper_recipe=[*rows, network("no-hist", 0.1, 0.1), *others])
+    assert found.values == pytest.approx((11 / 12,)) and found.n == 7
+
+
+def test_differences_and_ratios(tmp_path: Path) -> None:
+    """Assert that differences, ratios and correlations are those of the rows that they name."""
+    both = [network("events-only", 0.6, 0.5), network("disp-only", 0.2, 0.7)]
+    found = told(tmp_path, "events-against-displacement", paper_recipe=both)
+    assert found.values == pytest.approx((0.4, -0.2))
+    grip = [{"object": number, "setting": "paper", "force_end_n": float(20 - number)} for number in range(10, 19)]
+    force = told(tmp_path, "force-follows-mass", grasps_by_object=grip)
+    masses = [72, 108, 38, 116, 166, 56, 74, 248, 550]  # grip falls by object number
+    falling = sum(masses[a] > masses[b] for a in range(9) for b in range(a))
+    assert falling > 18 and force.values[0] is not None and force.values[0] < 0
+    still = [{"preset": "official", "scene": scene, "gel": "cut", "error_px_rms": 3.0, "still_px_rms": 2.0}
+             for scene in ("slip", "edge")]  # fmt: skip
+    assert told(tmp_path, "official-2024", tracking_distance=still).values == (1.5, 1.5)
+
+
+def test_what_is_not_there(tmp_path: Path) -> None:
+    """Assert that a missing table, row or tracker is said."""
+    assert "no table grasps" in told(tmp_path, "grasps-kept").not_measured
+    assert "has no row" in told(tmp_path, "grasps-kept", grasps=[{"setting": "none"}]).not_measured
+    stable = {"sensor_name": "evetac", "sensor": "events", "model": "regression", "mae_n_x": 0.1, "mae_n_y": 0.1}
+    assert "does not have it" in told(tmp_path, "force-by-papers-tracker", force=[stable]).not_measured
+
+
+def test_every_table_that_a_fact_names_is_there() -> None:
+    """Assert that docs/results has the tables, and that most facts find their figures in them."""
+    named = [fact for fact in facts() if fact.table]
+    assert all((RESULTS / f"{fact.table}.json").is_file() for fact in named)
+    assert sum(bool(of_table(fact, RESULTS).values) for fact in named) >= len(named) - 2
