@@ -13,11 +13,11 @@ from evetac_cli.devices import GripperReading, Rig, SecondCamera
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.sim.camera.gel_camera import GelCamera
-from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.building import Simulation, scene_in_words, simulation_of
 from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sensor import Sensor
+from evetac_cli.sim.timing import Timer, untimed
 
 
 class SimulatedCamera:
@@ -95,16 +95,16 @@ class SimulatedGripper:
 
     def read(self) -> GripperReading:
         """Return the motor's current, and the encoder's position, which is a whole number."""
-        finger = self.simulation.finger
+        finger = self.simulation.finger.state
         return GripperReading(finger.current_ma, finger.position_ticks)
 
     def write_current(self, current_ma: int) -> None:
         """Command a current, starting with the next slice."""
-        self.simulation.command = ("current", current_ma)
+        self.simulation.finger.command = ("current", current_ma)
 
     def write_position(self, goal_ticks: int) -> None:
         """Command a position, starting with the next slice."""
-        self.simulation.command = ("position", goal_ticks)
+        self.simulation.finger.command = ("position", goal_ticks)
 
     def emergency_open(self) -> None:
         """Release: the object is not real."""
@@ -112,7 +112,7 @@ class SimulatedGripper:
 
     def close(self) -> None:
         """Command zero current."""
-        self.simulation.command = ("current", 0)
+        self.simulation.finger.command = ("current", 0)
 
 
 def rig(plan: Plan, seeds: np.random.SeedSequence, timer: Timer = untimed, /, **durations: float) -> Rig:
@@ -139,7 +139,7 @@ def rig(plan: Plan, seeds: np.random.SeedSequence, timer: Timer = untimed, /, **
     return replace(
         devices,
         gripper=SimulatedGripper(simulation),
-        holding_ma=simulation.holding_ma(),
-        slips_at_ma=simulation.slips_at_ma(),
+        holding_ma=simulation.finger.holding_ma,
+        slips_at_ma=simulation.finger.slips_at_ma,
         fall_factor=simulation.sampled.fall_factor,
     )

@@ -13,7 +13,7 @@ friction. Below 1 the gear breaks loose: it starts late, and then moves at once 
 
 Backlash (backlash_ticks b, 0 unless a scene names it): the finger moves only as far as is necessary to stay within
 b / 2 of the motor, whose position the encoder reads. After a reversal the finger stays, and with it the force on the
-motor, until the motor has moved b. The encoder may be noisy, and commands may take effect late (DelayedCommands).
+motor, until the motor has moved b. The encoder may be noisy, and commands may take effect late (scenes/finger_drive).
 
 Each step is solved implicitly for the speed, with the force and friction at the end of the step. The equation is
 monotone in the speed, also with backlash, so a bracketed Newton search always ends: for any stiffness, without damping
@@ -22,7 +22,6 @@ is at rest, and within the step the friction law is fixed.
 """
 
 import math
-from collections import deque
 from dataclasses import dataclass, field, fields, replace
 from typing import Literal
 
@@ -138,30 +137,6 @@ class DriveState:
     def position_ticks(self) -> int:
         """Return the encoder's reading: whole ticks of the gripper, 0 is open."""
         return math.floor(self.touch_ticks + self.motor_ticks + self.encoder_off_ticks)
-
-
-class DelayedCommands:
-    """Transmission of commands to the motor: each takes effect after a delay, and no command overtakes another."""
-
-    def __init__(
-        self, first: tuple[Mode, float], delay_slices: float, jitter_slices: float, rng: np.random.Generator
-    ) -> None:
-        """Start with a command in effect; later commands arrive after the delay and a random part of the jitter."""
-        self._delay, self._jitter, self._rng = delay_slices, jitter_slices, rng
-        self._in_effect = self._last_command = first
-        self._on_the_way: deque[tuple[float, tuple[Mode, float]]] = deque()
-
-    def at(self, slice_number: int, command: tuple[Mode, float]) -> tuple[Mode, float]:
-        """Return the command in effect in a slice, in which `command` was given; a repeated command is not new."""
-        if command != self._last_command:
-            self._last_command = command
-            arrives = slice_number + self._delay + self._jitter * self._rng.uniform()
-            if self._on_the_way:
-                arrives = max(arrives, self._on_the_way[-1][0])
-            self._on_the_way.append((arrives, command))
-        while self._on_the_way and self._on_the_way[0][0] <= slice_number:
-            self._in_effect = self._on_the_way.popleft()[1]
-        return self._in_effect
 
 
 def gap_m(position_ticks: float) -> float:

@@ -33,7 +33,6 @@ from evetac_cli.kernels.slip.architectures import Sensitivity
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.cell_gaps import CellGaps, cell_samples, gaps_of
-from evetac_cli.sim.parts import untimed
 from evetac_cli.sim.scenes.gel_view import GelView
 from evetac_cli.sim.scenes.shared import (
     STEP_S,
@@ -50,6 +49,7 @@ from evetac_cli.sim.setup.object_file import TouchedObject
 from evetac_cli.sim.setup.scene import GelSettings, Randomised, Scene, SceneTimes
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.sim.setup.solver import Solver, with_given
+from evetac_cli.sim.timing import untimed
 from evetac_cli.text_files import require_finite
 
 SLICE_NS = SLICE_US * 1000

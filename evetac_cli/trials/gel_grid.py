@@ -26,7 +26,7 @@ def nodes_of_slip(trial: SimulatedTrial, grip: float = 1.0) -> float:
     from evetac_cli.sim.scenes.gripped import GraspSimulation
 
     simulation = simulation_of(trial.plan, trial.seeds())
-    return simulation.nodes_of_slip(grip) if isinstance(simulation, GraspSimulation) else math.inf
+    return simulation.pads.nodes_of_slip(grip) if isinstance(simulation, GraspSimulation) else math.inf
 
 
 def chosen(trial: SimulatedTrial) -> SimulatedTrial:

@@ -19,8 +19,9 @@ import numpy as np
 from evetac_cli.arrays import Floats
 from evetac_cli.events import SLICES_PER_S, Events
 from evetac_cli.jobs import Outcome, Progress, silent
-from evetac_cli.sim.parts import Call, Timer, rows_of, switched
+from evetac_cli.sim.camera.camera_parts import Camera, Dots
 from evetac_cli.sim.setup.scene import Scene
+from evetac_cli.sim.timing import Call, Timer
 from evetac_cli.trials import gel_grid
 from evetac_cli.trials.trial import SimulatedTrial
 
@@ -70,9 +71,9 @@ class PartCosts:
                 shown[part] = float(more_us.mean())
                 error_us = float(more_us.std(ddof=1)) / math.sqrt(len(more_us)) if len(more_us) > 1 else shown[part]
                 noise[part] = max(-shown[part], SURE * error_us)
-        in_camera = [part for part in names[names.index("camera") + 1 :] if part in costs]
-        costs["dots"] = costs["camera"] - sum(costs[part] for part in in_camera)
-        noise["dots"] = max(-costs["dots"], math.hypot(*(noise.get(part, 0.0) for part in in_camera)))
+        in_camera = [part for part in names[names.index(Camera.NAME) + 1 :] if part in costs]
+        costs[Dots.NAME] = costs[Camera.NAME] - sum(costs[part] for part in in_camera)
+        noise[Dots.NAME] = max(-costs[Dots.NAME], math.hypot(*(noise.get(part, 0.0) for part in in_camera)))
         for row in rows:
             part = row["part"]
             row["time_us"], row["saves_us"], row["noise_us"] = costs.get(part), saved.get(part), noise.get(part)
@@ -92,6 +93,8 @@ BESIDE_SCENE = {
 
 def dry_run(trials: Sequence[SomeTrial], play: Play[SomeTrial], progress: Progress = silent) -> Outcome:
     """Return what the first trial builds and leaves out, and the cost of each part on this machine."""
+    from evetac_cli.sim.parts import rows_of  # imports numba
+
     costs = measure(trials[0], play, progress)
     files: dict[str, Any] = {"files": sum(len(trial.outputs) for trial in trials), "first_file": str(trials[0].output)}
     if notes := gel_grid.notes(trials):
@@ -182,6 +185,8 @@ def measure(trial: SomeTrial, play: Play[SomeTrial], progress: Progress = silent
 
     As many slices and repeats as fit into BUDGET_S. None if the trial has no slices to measure.
     """
+    from evetac_cli.sim.parts import rows_of, switched  # imports numba
+
     runs: dict[str | None, SomeTrial] = {None: trial}
     runs |= {part: replace(trial, plan=plan) for part, plan in switched(trial.plan).items()}
     timer = CallTimer()

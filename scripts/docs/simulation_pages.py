@@ -117,12 +117,11 @@ def _parts() -> str:
         " time. [Disturbances](../disturbances.md) shows how each part changes events, labels, tracks and grasps.\n",
     ]
     for part in PARTS:
-        name = part.name
+        name = part.NAME
         lines.append(f"## {name}\n")
         rows = [
             (code(path), owner, prose(rule.get("description", "")), _values(rule))
-            for owner, paths in (("sensor", part.sensor), ("scene", part.scene))
-            for path in paths
+            for owner, path in (key.split(".", 1) for key in part.KEYS)
             for rule in (_rule(rules[owner], path),)
         ]
         lines.append(table(("key", "of", "meaning", "values"), rows))

@@ -70,18 +70,17 @@ def simulation(name: str, number: int) -> list[dict[str, object]]:
         simulated = GraspSimulation(plan, *(np.random.default_rng([1, part]) for part in range(2)))
         mechanics, camera = Stopwatch(simulated._move), Stopwatch(simulated.view.render)
         simulated._move, simulated.view.render = mechanics, camera  # type: ignore[method-assign]
-        start_ma, law = simulated.command[1], paper.start()
+        start_ma, law = simulated.finger.command[1], paper.start()
         started = time.thread_time()
         while not simulated.finished and simulated.slices < slices:
             if simulated.slices % 2 == 0:
                 if kind == "lift":
                     phase = paper.GraspPhase((simulated.slices >= TOUCH_MS) + (simulated.slices >= TOUCH_MS + LIFT_MS))
-                    goal = paper.step(
-                        law, phase, bool(simulated.view.slip.truth()["truth/slip"]), simulated.finger.position_ticks
-                    )
-                    simulated.command = ("position", goal)
+                    slips = bool(simulated.view.slip.truth()["truth/slip"])
+                    goal = paper.step(law, phase, slips, simulated.finger.state.position_ticks)
+                    simulated.finger.command = ("position", goal)
                 elif simulated.slices >= 900:
-                    simulated.command = ("current", round(start_ma - 0.01375 * (simulated.slices - 900) / 2))
+                    simulated.finger.command = ("current", round(start_ma - 0.01375 * (simulated.slices - 900) / 2))
             simulated.step()
         seconds = time.thread_time() - started
     what = f"simulate {name}, object {number}, {simulated.slices / SLICES_PER_S:.1f} s"

@@ -19,13 +19,13 @@ from evetac_cli.events import Events
 from evetac_cli.kernels.grip.control import Control, make_law
 from evetac_cli.sim import gripper
 from evetac_cli.sim.camera.gel_camera import GelCamera
-from evetac_cli.sim.parts import Timer, untimed
-from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2
+from evetac_cli.sim.scenes.shared import GRAVITY_M_S2
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.held import FallingWeight, GripperCurrent, HandJerk, HandVibration, Pushes
 from evetac_cli.sim.setup.object_file import TouchedObject
 from evetac_cli.sim.setup.plan import Plan, first_plan
 from evetac_cli.sim.setup.scene import Scene
+from evetac_cli.sim.timing import Timer, untimed
 from evetac_cli.trials.grasp.loop import Timing, grasp_slices
 from evetac_cli.trials.record import simulated
 from evetac_cli.trials.trial import SimulatedTrial

@@ -7,7 +7,6 @@ import pytest
 
 from evetac_cli.sim.gel.contact import cell_area, closing_at, force_curve, gap_profile, lookup, pad_nodes
 from evetac_cli.sim.gripper import (
-    DelayedCommands,
     Drive,
     closed_with,
     closing_push_n,
@@ -265,30 +264,6 @@ def test_a_finger_closed_with_a_current_has_taken_up_its_lost_motion():
     at_once = closed_with(drive, CURVE, TOUCH_TICKS, 14)
     assert at_once.motor_ticks == pytest.approx(slowly.motor_ticks, abs=0.01)
     assert at_once.force_n == pytest.approx(slowly.force_n, rel=1e-3)
-
-
-@pytest.mark.parametrize(("delay", "jitter"), [(0.0, 0.0), (3.0, 0.0), (2.5, 0.0), (0.0, 6.0), (1.0, 20.0)])
-def test_late_commands_keep_their_order(delay, jitter):
-    """Assert that each command takes effect within its delay and jitter, in order, and the last one for good."""
-    commands = DelayedCommands(("current", 0.0), delay, jitter, np.random.default_rng(3))
-    seen = np.array([commands.at(k, ("current", float(min(k // 2, 100))))[1] for k in range(300)])
-    assert (np.diff(seen) >= 0).all()
-    assert seen[-1] == 100
-    first = np.array([np.flatnonzero(seen >= number)[0] for number in range(1, 101)])
-    late = first - 2 * np.arange(1, 101)
-    assert late.min() >= np.ceil(delay)
-    assert late.max() <= np.ceil(delay + jitter)
-    if jitter == 0.0:
-        assert np.ptp(late) == 0
-    else:
-        assert np.ptp(late) > jitter / 3
-
-
-def test_a_command_given_again_is_no_new_one():
-    """Assert that a goal that is repeated in each slice arrives once, its delay after it was first given."""
-    commands = DelayedCommands(("position", 10.0), 5.0, 0.0, np.random.default_rng(3))
-    seen = [commands.at(k, ("position", 20.0)) for k in range(10)]
-    assert seen == [("position", 10.0)] * 5 + [("position", 20.0)] * 5
 
 
 def test_a_finger_may_change_its_drive():

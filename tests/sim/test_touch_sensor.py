@@ -10,8 +10,9 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.sim.gel.contact import cell_area
-from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, GraspSimulation
+from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.scenes.pressing import Pressing
+from evetac_cli.sim.scenes.shared import GRAVITY_M_S2
 from evetac_cli.sim.setup.plan import first_plan
 from evetac_cli.sim.touch_sensor import PUSHER_N_S_M, Touch, TouchSensor
 
@@ -86,8 +87,8 @@ def held() -> tuple[GraspSimulation, dict[str, Any]]:
 
 def pressed_on(sensor: TouchSensor, trial: GraspSimulation) -> None:
     """Press as a ramp's gripper did before its trial: within half a second, and rest on a free object as long."""
-    sensor.step(0.5, normal_n=trial.finger.force_n)
-    sensor.step(0.5, normal_n=trial.finger.force_n, shear_n=(0.0, 0.0))
+    sensor.step(0.5, normal_n=trial.finger.state.force_n)
+    sensor.step(0.5, normal_n=trial.finger.state.force_n, shear_n=(0.0, 0.0))
 
 
 def test_dots_are_those_of_the_slip_scene_under_its_motion() -> None:
@@ -103,7 +104,8 @@ def test_dots_are_those_of_the_slip_scene_under_its_motion() -> None:
     moved_px = 0.0
     for _ in range(200):
         trial.step()
-        touch = sensor.step(1e-3, normal_n=trial.finger.force_n, place_m=(trial._gel.pose[0], trial._gel.pose[1]))
+        x_m, y_m, _ = trial.pads.first.pose.tolist()
+        touch = sensor.step(1e-3, normal_n=trial.finger.state.force_n, place_m=(x_m, y_m))
         off_px.append(touch.dot_xy_px - trial.gel_camera.dot_xy_px)
         moved_px = max(moved_px, float(np.abs(touch.displacement_px).max()))
     assert moved_px > 1.0
@@ -120,8 +122,8 @@ def test_dots_are_those_of_the_slip_scene_under_its_force() -> None:
     pressed_on(sensor, trial)
     for _ in range(300):
         trial.step()
-        pull_n = 0.5 * trial._load() * trial.sampled.mass_kg * GRAVITY_M_S2
-        touch = sensor.step(1e-3, normal_n=trial.finger.force_n, shear_n=(pull_n, 0.0))
+        pull_n = 0.5 * trial.held.load(trial.slices) * trial.sampled.mass_kg * GRAVITY_M_S2
+        touch = sensor.step(1e-3, normal_n=trial.finger.state.force_n, shear_n=(pull_n, 0.0))
     assert np.abs(touch.displacement_px).max() > 1.0
     assert np.abs(touch.dot_xy_px - trial.gel_camera.dot_xy_px).max() < 0.05
     assert touch.shear_n == pytest.approx((pull_n, 0.0), abs=1e-4)

@@ -15,8 +15,9 @@ from evetac_cli.cli.main import app
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.record import Record
 from evetac_cli.jobs import Outcome
-from evetac_cli.sim.parts import Timer, rows_of, untimed
+from evetac_cli.sim.parts import rows_of
 from evetac_cli.sim.setup.plan import Plan
+from evetac_cli.sim.timing import Timer, untimed
 from evetac_cli.trials import grasp, part_costs, record
 from evetac_cli.trials.part_costs import BLOCK, Append, CallTimer, PartCosts, for_people, measure
 from evetac_cli.trials.record import simulated
@@ -46,7 +47,7 @@ class SlowedClock:
         self.take(CUT_US * (sensor.cut_contrast > 0))
 
     def _advance(self, plan: Plan) -> None:
-        self.take(GEL_US + LAW_US * (plan.sensor.friction.pressure_exponent != 0.0))
+        self.take(GEL_US + LAW_US * (plan.scene.randomise.pressure_exponent[1] > 0.0))
 
     def play(self, trial: SimulatedTrial, append: Append, timer: Timer) -> None:
         self.runs += 1

@@ -292,7 +292,7 @@ class _RunningWorld:
         if not isinstance(self._rig.gripper, SimulatedGripper):
             raise DeviceError("a virtual gripper needs a scene with a gripper", found=plan.scene.name)
         self._world = self._rig.gripper.simulation
-        self._gain_ma_tick = self._world.drive.gain_ma_tick / PAPER_P_GAIN
+        self._gain_ma_tick = self._world.finger.drive.gain_ma_tick / PAPER_P_GAIN
         self._plant = plant
         self._time = plant.time
         self._waits = waits
@@ -309,7 +309,7 @@ class _RunningWorld:
         self._began_s = 0.0  # time at which the world's time was 0
         self._torque = False  # whether the servo ever had torque: until then the scene's own command applies
         self._goals = Goals()
-        self._publish_motion(self._world.finger.motor_ticks)
+        self._publish_motion(self._world.finger.state.motor_ticks)
 
     def described(self) -> dict[str, Any]:
         """Return the description of this world for the other side."""
@@ -363,7 +363,7 @@ class _RunningWorld:
         """Make one slice if it is due, and send waiting data."""
         if self.wait_s == 0.0:
             self._pass_on(self._plant.goals())
-            before_ticks = self._world.finger.motor_ticks
+            before_ticks = self._world.finger.state.motor_ticks
             seen = [camera.read() for camera in self._cameras]
             self._publish_motion(before_ticks)
             # A sensor that is read out 5000 times per second starts every millisecond with a TIMESTAMP, with or without
@@ -429,12 +429,13 @@ class _RunningWorld:
             self._goals = goals
             self._torque |= goals.torque
             gain = self._gain_ma_tick * goals.p_gain
-            self._world.drive = replace(self._world.drive, gain_ma_tick=gain, current_limit_ma=goals.limit_ma)
+            finger = self._world.finger
+            finger.drive = replace(finger.drive, gain_ma_tick=gain, current_limit_ma=goals.limit_ma)
         if self._torque:
-            self._world.command = goals.command()
+            self._world.finger.command = goals.command()
 
     def _publish_motion(self, before_ticks: float) -> None:
         """Publish the finger's motion for the servo: current, position, and speed over the last slice."""
-        finger = self._world.finger
+        finger = self._world.finger.state
         speed = (finger.motor_ticks - before_ticks) / SLICE_S
         self._plant.show(ServoMotion(finger.current_ma, finger.position_ticks, speed))

@@ -14,7 +14,7 @@ import numpy as np
 from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.rows import mean, quantile
 from evetac_cli.jobs import Row, Rows
-from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2
+from evetac_cli.sim.scenes.shared import GRAVITY_M_S2
 
 CLASSES_G = ((30.0, 100.0), (100.0, 250.0), (250.0, 600.0))
 STAYED_MM = 3.0  # an object that moved less counts as not moved

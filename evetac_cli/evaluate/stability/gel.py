@@ -33,7 +33,7 @@ from evetac_cli.jobs import Rows
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.contact import gap_profile, pad_nodes, pressure
-from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2
+from evetac_cli.sim.scenes.shared import GRAVITY_M_S2
 from evetac_cli.sim.scenes.true_slip import SLIP_PX, GroundTruthSlip
 from evetac_cli.sim.setup.solver import Solver
 from evetac_cli.store.recordings import slip_grid

@@ -182,7 +182,7 @@ def let_go(name: str, controller: str, error: EvetacError, devices: Rig) -> Rows
     """Return the row of a grasp that aborted with an error: whether its gripper was left without current."""
     gripper = devices.gripper
     assert isinstance(gripper, SimulatedGripper)
-    mode, command = gripper.simulation.command
+    mode, command = gripper.simulation.finger.command
     left_ma = abs(command) if mode == "current" else float("inf")  # in position mode it keeps pressing
     words = str(error).splitlines()[0]
     return case_rows(name, f"let go: {words}", [(LET_GO, float(left_ma))], controller=controller)

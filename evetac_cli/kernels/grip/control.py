@@ -14,7 +14,7 @@ and stays there.
   only the sum is independent of the split. Half of the sum is the load on each of two equal fingers, for which the
   constants of the law were chosen. If one finger slips, the gel of the other takes over and the mean stays the same.
   The maximum of both would mistake a stiffer grip for a heavier object.
-- Signs: the second sensor faces the first (sim/scenes/second_finger.py), so downward motion and rotation have the
+- Signs: the second sensor faces the first (sim/scenes/pads.py), so downward motion and rotation have the
   opposite sign in its image. Both are therefore subtracted. Motion along the fingers has the same sign in both images.
 - Sticking share: the smaller one, because that finger slips first.
 - Probability: the larger one. It is for display only; evetac's laws do not read it.

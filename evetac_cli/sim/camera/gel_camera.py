@@ -239,30 +239,6 @@ class GelCamera:
         change = light.of_scene(scene.light)
         differ = dots_differ(sensor, cut)
         self._camera = camera.start(model, self.dot_xy_px, window, rng, built, self._lines, change, differ)
-        is_slow, by_light = self._lagging is not None, sensor.bandwidth_by_light
-        exists = {
-            "camera": True,
-            "dots": True,
-            "dots that differ": differ is not None,
-            "window": window is not None,
-            "contact edges": outline is not None,
-            "cut edge": len(self.cut_rest_m) > 0,
-            "noise": model.noise_rate_hz > 0.0,
-            "hot pixels": model.has_hot_pixels,
-            "noise filter": model.support_ms is not None,
-            "OFF threshold of its own": model.threshold_off is not None,
-            "limit of the readout": model.events_per_s is not None,
-            "slow pixels": is_slow,
-            "bandwidth that falls with light": is_slow and by_light,
-            "uneven light": is_slow and by_light and sensor.light_gradient > 0.0,
-            "lens distortion": self._lens is not None,
-            "leak": model.leak_hz > 0.0,
-            "blind pixels": model.refractory_us > 0.0,
-            "changing light": change is not None,
-            "vanishing dots": len(self._gone) > 0,
-            "calibration that is off": self.calibrated_grid_xy_px is not self.grid_xy_px,
-        }
-        self.built = frozenset(part for part, is_there in exists.items() if is_there)
 
     def _bandwidths(self, sensor: Sensor) -> tuple[float | Floats, float | Floats]:
         """Return the bandwidths of the pixels at each dot's rim, and of those in the window."""

@@ -6,12 +6,12 @@ from contextlib import contextmanager
 import numpy as np
 
 from evetac_cli.errors import SceneError
-from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.scenes.pressing import Pressing
 from evetac_cli.sim.scenes.rubbing import Rubbing
 from evetac_cli.sim.scenes.vibrating import Vibration
 from evetac_cli.sim.setup.plan import Plan
+from evetac_cli.sim.timing import Timer, untimed
 
 # Kinds of scene without a gripper.
 DRIVEN: dict[str, type[Pressing] | type[Vibration]] = {"press": Pressing, "rub": Rubbing, "tone": Vibration}

@@ -17,15 +17,13 @@ from evetac_cli.events import Events
 from evetac_cli.sim.camera.contact_edges import Outline
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import gel
-from evetac_cli.sim.parts import Timer, untimed
 from evetac_cli.sim.scenes.covered import covered
 from evetac_cli.sim.scenes.gel_view import GelView
 from evetac_cli.sim.scenes.shared import (
     STEP_S,
-    ChangingFriction,
+    ChangeOfFriction,
     GelSlices,
     SolverTruth,
-    built_of_gel,
     friction_factor,
     friction_of,
     material,
@@ -34,6 +32,7 @@ from evetac_cli.sim.scenes.shared import (
 from evetac_cli.sim.setup.driven import Face, FaceMotion
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import sample_trial, sensor_with_gel
+from evetac_cli.sim.timing import Timer, untimed
 
 LONGEST_S = 24 * 3600.0  # the limit of every recording
 
@@ -95,7 +94,7 @@ class Pressing:
         sampled = self.sampled
         self._gel_slices = GelSlices(self._gel, solver, timer=timer)
         self._friction = friction_of(sampled)
-        self._changing_friction = ChangingFriction(self._scene.friction_change, self._friction)
+        self._change = ChangeOfFriction.of(plan)
         self._steps = SolverTruth(self._gel)
         self.view = GelView(self.gel_camera, self._gel, solver.camera_substeps, timer)
         self._centre_m, self.timeline = self._plan_motion(mechanics)
@@ -105,8 +104,6 @@ class Pressing:
         self._shear_n = (0.0, 0.0)
         self.slices = 0
         self.finished = False
-        exists = built_of_gel(varies, self._material, self._scene)
-        self.built = frozenset(part for part, is_there in exists.items() if is_there)
 
     def _plan_motion(self, rng: np.random.Generator) -> tuple[Floats, Timeline]:
         motion, face = self._scene.motion, self._scene.face
@@ -170,15 +167,15 @@ class Pressing:
         borne = self._borne(self._covered)
         force_n = borne * hand_n
         twist = ((x_m - x_before_m) / STEP_S, (y_m - y_before_m) / STEP_S, 0.0)
-        self._friction = self._changing_friction.at(self.slices)
+        friction = self._friction if self._change is None else self._change.at(self.slices, self._friction)
         ends_n = (borne * before_n, force_n)
-        done = self._gel_slices.advance(self._shares, ends_n, (0.0, 0.0, 0.0), self._friction, twist, self.view.begin())
+        done = self._gel_slices.advance(self._shares, ends_n, (0.0, 0.0, 0.0), friction, twist, self.view.begin())
         still = self._gel_slices.still_for > 0 and hand_n == before_n
         self._hand_n = hand_n
         if not still:
             self._xy_m, self._force_n = xy_m, force_n if self._covered > 0 else 0.0
             self._shear_n = done.friction_n[:2]
-            self._steps.follow(done, self._friction)
+            self._steps.follow(done, friction)
             self.view.press(self._depth_m())
             self.view.show(self._xy_m, 0.0)
         self.view.follow(self._shares, self._force_n, self._gel_slices.still_for)

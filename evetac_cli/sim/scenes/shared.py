@@ -16,13 +16,15 @@ from evetac_cli.sim.gel.adaptive import Slice, Stepper
 from evetac_cli.sim.gel.cell_gaps import CellGaps
 from evetac_cli.sim.gel.friction import varied
 from evetac_cli.sim.gel.pressure_law import PressureLaw
-from evetac_cli.sim.parts import Timer, untimed
+from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import SampledTrial
-from evetac_cli.sim.setup.scene import FrictionChange, Scene
+from evetac_cli.sim.setup.scene_part import Essential, OfGripper, ScenePart
 from evetac_cli.sim.setup.sensor import PAD_M, Sensor
 from evetac_cli.sim.setup.solver import Solver
+from evetac_cli.sim.timing import Timer, untimed
 
 STEP_S = 1e-3  # duration of a slice
+GRAVITY_M_S2 = 9.81
 
 FRICTION_SEED = 15485867  # with a sensor's seed: where on its gel friction is higher or lower
 
@@ -33,6 +35,96 @@ LOSS_AT_HZ = 100.0  # frequency of a sensor's loss_tangent
 SLOWEST_M_S = 1e-20
 WEAKEST_N = 1e-22
 SMALLEST_M = 1e-21
+
+
+class GelAndFriction(Essential):
+    """The gel as a layer of springs on nodes, and its friction."""
+
+    NAME = "gel and friction"
+    KEYS = (
+        *("sensor.shear_modulus_pa", "sensor.normal_modulus_pa"),
+        *("scene.randomise.static_friction", "scene.randomise.memory_um"),
+        *("scene.solver.node_pitch_mm", "scene.solver.tolerance_um", "scene.solver.step_ms"),
+    )
+
+    @classmethod
+    def is_in(cls, plan: Plan) -> bool:
+        """Return whether something can slip; a speaker sticks to the gel."""
+        return plan.scene.tone is None
+
+
+class VaryingFriction(ScenePart):
+    """Friction that varies over the gel's surface; see `friction_factor`."""
+
+    NAME = "friction that varies over the gel"
+    KEYS = ("sensor.friction.patch_spread", "sensor.friction.patch_mm")
+
+    @classmethod
+    def is_in(cls, plan: Plan) -> bool:
+        """Return whether a plan's gel has friction that varies."""
+        return GelAndFriction.is_in(plan) and bool(plan.sensor.friction.patch_spread)
+
+
+class FrictionOverPressure(OfGripper):
+    """Friction that grows less than in proportion to pressure; see gel/pressure_law."""
+
+    NAME = "friction over pressure"
+    KEYS = ("sensor.friction.pressure_exponent", "scene.randomise.pressure_exponent")
+    MEASURED = True
+
+    @classmethod
+    def is_in(cls, plan: Plan) -> bool:
+        """Return whether a plan's friction depends on pressure; the sensor's own exponent comes first."""
+        own = plan.sensor.friction.pressure_exponent
+        return plan.scene.is_gripped and (plan.scene.randomise.pressure_exponent[1] if own is None else own) > 0.0
+
+
+class SlowCreep(ScenePart):
+    """Creep of the gel under a load that stays."""
+
+    NAME = "slow creep"
+    KEYS = ("sensor.creep.share", "sensor.creep.time_s")
+
+
+class WhatTouches(Essential):
+    """The object, face, hand or speaker that touches the gel."""
+
+    NAME = "what touches"
+    KEYS = (
+        *("scene.kind", "scene.face", "scene.rub", "scene.rub.objects"),
+        *("scene.tone", "scene.tone.frequency_hz"),
+    )
+
+
+class ChangeOfFriction(ScenePart):
+    """Static and kinetic friction of the whole contact change at once, as if it reached a wet patch."""
+
+    NAME = "change of friction"
+    KEYS = ("scene.friction_change.at_s", "scene.friction_change.factor")
+
+    def __init__(self, plan: Plan, rng: np.random.Generator | None = None) -> None:
+        """Prepare the change."""
+        change = plan.scene.friction_change
+        assert change is not None
+        self._factor, self._changes_at = change.factor, round(change.at_s * SLICES_PER_S)
+        self._changed: gel.Friction | None = None
+
+    def at(self, slice_number: int, friction: gel.Friction) -> gel.Friction:
+        """Return the friction in a slice, from the trial's friction at its start."""
+        if slice_number < self._changes_at:
+            return friction
+        if self._changed is None:
+            static, kinetic = friction.static * self._factor, friction.kinetic * self._factor
+            self._changed = replace(friction, static=static, kinetic=kinetic)
+        return self._changed
+
+
+class OtherStiffness(ScenePart):
+    """A gel that is stiffer or softer than the sensor's."""
+
+    NAME = "other stiffness of the gel"
+    KEYS = ("scene.gel.stiffness_factor",)
+    MEASURED = False
 
 
 def pad(solver: Solver, sensor: Sensor, *, cut: bool) -> NDArray[np.float64]:
@@ -79,26 +171,6 @@ def friction_of(sampled: SampledTrial) -> gel.Friction:
     )
 
 
-class ChangingFriction:
-    """The friction of a trial over time: static and kinetic friction change by a factor at a given time, if at all.
-
-    The whole contact changes at once, as if it reached a wet patch.
-    """
-
-    def __init__(self, change: FrictionChange | None, friction: gel.Friction) -> None:
-        """Start with the trial's friction; without a change, it stays constant."""
-        self._before = self._after = friction
-        self._changes_at = math.inf
-        if change is not None:
-            factor = change.factor
-            self._changes_at = round(change.at_s * SLICES_PER_S)
-            self._after = replace(friction, static=friction.static * factor, kinetic=friction.kinetic * factor)
-
-    def at(self, slice_number: int) -> gel.Friction:
-        """Return the friction in a slice."""
-        return self._before if slice_number < self._changes_at else self._after
-
-
 def friction_factor(sensor: Sensor, node_xy_m: Floats, finger: int = 0) -> Floats | None:
     """Return the factor on each node's friction if the sensor sets friction.patch_spread and patch_mm, else None.
 
@@ -132,18 +204,6 @@ def press(
     return shares
 
 
-def built_of_gel(varies: Floats | None, layer: gel.GelMaterial, scene: Scene) -> dict[str, bool]:
-    """Return which of the parts that all scenes may have are built (see sim/parts.py); varies: `friction_factor`."""
-    return {
-        "gel and friction": True,
-        "friction that varies over the gel": varies is not None,
-        "slow creep": len(layer.creep_share) > 0,
-        "what touches": True,
-        "change of friction": scene.friction_change is not None,
-        "other stiffness of the gel": scene.gel.stiffness_factor != 1.0,
-    }
-
-
 class GelSlices:
     """Advances gel and object slice by slice; skips slices in which nothing would change.
 
@@ -161,7 +221,7 @@ class GelSlices:
         """Start with a pad, and the second finger's pad if it does not mirror the first (see `Stepper`)."""
         self._gel = pad_state
         self._pads = (pad_state,) if second is None else (pad_state, second)
-        self._advance = timer("gel and friction", Stepper(solver, second=second).advance)
+        self._advance = timer(GelAndFriction.NAME, Stepper(solver, second=second).advance)
         self._least_steps = solver.fixed_steps or 1  # steps of a slice that needs no refinement
         self._done = Slice()
         self._acting: tuple[Any, ...] = ()

@@ -29,15 +29,16 @@ from numpy.typing import NDArray
 from evetac_cli.arrays import Floats
 from evetac_cli.events import SLICE_US, SLICES_PER_S, Events
 from evetac_cli.kernels.gel_layer import Squeeze, moved_by
+from evetac_cli.sim.camera.camera_parts import Camera
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import dots
 from evetac_cli.sim.gel.contact import cell_area, pad_nodes
 from evetac_cli.sim.gel.gel import GelMaterial
-from evetac_cli.sim.parts import Timer, untimed
-from evetac_cli.sim.scenes.shared import built_of_gel, material
+from evetac_cli.sim.scenes.shared import material
 from evetac_cli.sim.scenes.true_slip import NO_SLIP
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import sensor_with_gel
+from evetac_cli.sim.timing import Timer, untimed
 
 ORDERS = np.array([0.5, 1.0, 1.5, 2.0, 2.5])  # frequencies of the surface's waves, as multiples of the tone
 FADE_S = 0.02  # the tone fades in and out over this time, because its response is the stationary one
@@ -174,7 +175,7 @@ class Vibration:
         sensor = sensor_with_gel(scene, plan.sensor)
         self._time = scene.time
         self.gel_camera = GelCamera(sensor, scene=scene, texture=None, rng=optics_rng)
-        self._render = timer("camera", self.gel_camera.render)
+        self._render = timer(Camera.NAME, self.gel_camera.render)
         layer = material(sensor)
         radius_m = tone.radius_mm * 1e-3
         offset_m = mechanics.uniform(-1.0, 1.0, 2) * tone.offset_mm * 1e-3
@@ -214,8 +215,6 @@ class Vibration:
         whole_s = self._time.tone_at_s + self._time.tone_s + self._time.after_motion_s
         self.slices_in_all = round(SLICES_PER_S * whole_s)
         self.finished = False
-        exists = {**built_of_gel(None, layer, scene), "gel and friction": False}
-        self.built = frozenset(part for part, is_there in exists.items() if is_there)
 
     def _motion_per_metre(self) -> float:
         """Return the rms over the dots of their motion by the tone alone, per metre of the surface's amplitude."""

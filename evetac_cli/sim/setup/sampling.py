@@ -11,7 +11,7 @@ value.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -121,22 +121,6 @@ def sensor_with_gel(scene: Scene, sensor: Sensor) -> Sensor:
         sensor,
         shear_modulus_pa=sensor.shear_modulus_pa * factor,
         normal_modulus_pa=sensor.normal_modulus_pa * factor,
-    )
-
-
-class GripperFaults(NamedTuple):
-    """Imperfections of a gripper; 0 means none."""
-
-    backlash_ticks: float = 0.0
-    encoder_noise_ticks: float = 0.0
-    command_delay_ms: float = 0.0
-    command_jitter_ms: float = 0.0
-
-
-def gripper_faults(scene: Scene, sensor: Sensor) -> GripperFaults:
-    """Return the imperfections of a trial's gripper: those of the scene, else those of the sensor's own gripper."""
-    return GripperFaults(
-        *(_first(getattr(scene.gripper, name), getattr(sensor.gripper, name)) for name in GripperFaults._fields)
     )
 
 

@@ -20,7 +20,7 @@ from evetac_cli.kernels.identify import gripper, held_gel
 from evetac_cli.kernels.identify.held_gel import Creep, HeldFit
 from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.sim.gel import contact, gel
-from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2
+from evetac_cli.sim.scenes.shared import GRAVITY_M_S2
 from evetac_cli.sim.setup.sensor import PAD_M
 from evetac_cli.stages.identify import drive
 from evetac_cli.stages.identify.drive import DriveFit, GripperRows

@@ -50,7 +50,7 @@ class Oracle(PluginLaw):
         """Return the goal of one control step."""
         assert isinstance(state, OracleState)
         simulation = self.simulation
-        drive, force_n = simulation.drive, simulation.finger.force_n
+        drive, force_n = simulation.finger.drive, simulation.finger.state.force_n
         sampled = simulation.sampled
         slides = float(simulation.truth()["truth/slip_share"]) >= SLIDES
         state.slides = SETTLED_STEPS if slides else max(state.slides - 1, 0)

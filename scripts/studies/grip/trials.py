@@ -39,11 +39,11 @@ from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels.grip.control import Control, uses_detector
 from evetac_cli.resources import SHIPPED
 from evetac_cli.sim import grasp_outcome
-from evetac_cli.sim.parts import untimed
 from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.setup.held import FallingWeight, HandJerk
 from evetac_cli.sim.setup.object_file import TouchedObject
 from evetac_cli.sim.setup.plan import Plan, first_plan
+from evetac_cli.sim.timing import untimed
 from evetac_cli.store.recordings.trial_writer import TrialBuffer
 from evetac_cli.trials.grasp.loop import grasp_slices
 from evetac_cli.trials.grasp.settings import GraspSettings
@@ -214,7 +214,7 @@ def play(law: str, seed: int, options: Options = AS_SHIPPED) -> tuple[dict[str, 
         "friction": simulation.sampled.static_friction,
         "width_mm": object.width_mm,
         "lever_mm": object.lever_mm,
-        "carried_g": simulation.carried_kg * 1e3,
+        "carried_g": simulation.pads.carried_kg * 1e3,
         "gear_friction": simulation.sampled.gear_friction_factor,
         "latency_ms": one.latency_ms,
         "disturbance": one.disturbance,

@@ -18,7 +18,7 @@ import pytest
 from evetac_cli.evaluate.cost.simulator import draw_trial
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Stepper
-from evetac_cli.sim.scenes.slip_limit import GRAVITY_M_S2
+from evetac_cli.sim.scenes.shared import GRAVITY_M_S2
 from evetac_cli.sim.setup.solver import Solver
 
 pytestmark = pytest.mark.slow

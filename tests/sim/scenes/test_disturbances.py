@@ -9,14 +9,14 @@ import pytest
 from numpy.typing import NDArray
 
 from evetac_cli.devices.simulated import rig
-from evetac_cli.sim.scenes import gripped
-from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, GraspSimulation
-from evetac_cli.sim.scenes.hand import jerk_m_s
+from evetac_cli.sim.scenes import pads
+from evetac_cli.sim.scenes.finger_drive import Backlash, Command, EncoderNoise, LateCommands
+from evetac_cli.sim.scenes.gripped import GraspSimulation
+from evetac_cli.sim.scenes.held_object import JerkedHand
 from evetac_cli.sim.scenes.pressing import Pressing
+from evetac_cli.sim.scenes.shared import GRAVITY_M_S2
 from evetac_cli.sim.setup import sampling
-from evetac_cli.sim.setup.held import HandJerk
-from evetac_cli.sim.setup.sensor import GelFriction
-from evetac_cli.sim.setup.tables import as_table
+from evetac_cli.sim.setup.sensor import GelFriction, SensorGripper
 from tests.make import play_trial
 from tests.sim.scenes.trials import NONE, Changes, grasp_of, quiet_plan
 
@@ -56,12 +56,12 @@ def test_friction_to_a_tenth_lets_go() -> None:
 
 def test_jerk_of_the_hand() -> None:
     """Assert that half a sine of speed V and time T raises the hand by 2 V T / pi: what stands on the table sinks."""
-    jerk = HandJerk(at_s=0.1, speed_mm_s=80.0, lasts_s=0.05)
-    times = np.arange(1, 400) * 1e-3
-    raised_mm = sum(jerk_m_s(jerk, now) for now in times)
+    jerk = {"hand": {"jerk": {"at_s": 0.1, "speed_mm_s": 80.0, "lasts_s": 0.05}}}
+    hand = JerkedHand(quiet_plan("lift", jerk))
+    raised_mm = sum(hand.speed_m_s(now) for now in np.arange(1, 400) * 1e-3)
     assert raised_mm == pytest.approx(2 * 80.0 * 0.05 / math.pi, rel=1e-3)
     sunk_mm = []
-    for changes in (NONE, {"hand": {"jerk": as_table(jerk)}}):
+    for changes in (NONE, jerk):
         trial = grasp_of(quiet_plan("lift", changes), lift_s=1.5, balance_s=0.0)
         rows = truth_of(trial, 300)
         assert np.abs(rows["truth/table_gap_mm"]).max() < 0.01
@@ -119,16 +119,16 @@ def test_one_gear_friction() -> None:
     assert samples[0]["gear_friction_factor"] == 0.7
     assert {**samples[0], "gear_friction_factor": 0} == {**samples[2], "gear_friction_factor": 0}
     strong, weak = (held({"gripper": {"friction_factor": factor}}) for factor in (1.3, 0.65))
-    assert strong.drive.friction_n == pytest.approx(2 * weak.drive.friction_n, rel=1e-12)
+    assert strong.finger.drive.friction_n == pytest.approx(2 * weak.finger.drive.friction_n, rel=1e-12)
 
 
 def test_commands_that_come_late() -> None:
     """Assert that a command given with a delay of 7 ms does what the same does that is given 7 ms later."""
     late, plain = held({"gripper": {"command_delay_ms": 7.0}}), held()
-    given = {400: ("current", 3), 430: ("current", 40), 431: ("position", plain.finger.position_ticks + 1)}
+    given = {400: ("current", 3), 430: ("current", 40), 431: ("position", plain.finger.state.position_ticks + 1)}
     for k in range(500):
-        late.command = given.get(k, late.command)
-        plain.command = given.get(k - 7, plain.command)
+        late.finger.command = given.get(k, late.finger.command)
+        plain.finger.command = given.get(k - 7, plain.finger.command)
         for one in (late, plain):
             one.step()
         if k % 10 == 0 or k > 400:
@@ -136,10 +136,51 @@ def test_commands_that_come_late() -> None:
                 np.testing.assert_array_equal(value, plain.truth()[name])
     jitters = [held({"gripper": {"command_jitter_ms": 20.0}}) for _ in range(2)]
     for one in jitters:
-        one.command = ("current", 60)
+        one.finger.command = ("current", 60)
     forces = [truth_of(one, 40)["truth/normal_force_n"] for one in (*jitters, held())]
     np.testing.assert_array_equal(forces[0], forces[1])
     assert 0 <= np.flatnonzero(forces[0] != forces[2])[0] <= 20
+
+
+def test_faults_of_a_gripper() -> None:
+    """Assert that a scene's faults stand above those of the sensor's gripper, and that what none names is 0."""
+    planned = quiet_plan("slip", {"gripper": {"backlash_ticks": 0.0}})
+    own = SensorGripper(backlash_ticks=1.0, command_delay_ms=3.0)
+    planned = replace(planned, sensor=replace(planned.sensor, gripper=own))
+    assert [part.values(planned) for part in (Backlash, LateCommands, EncoderNoise)] == [[0.0], [3.0, 0.0], [0.0]]
+    assert [part.is_in(planned) for part in (Backlash, LateCommands, EncoderNoise)] == [False, True, False]
+
+
+def late_commands(first: Command, delay_ms: float, jitter_ms: float) -> LateCommands:
+    """Commands that are delayed, with one in effect."""
+    late = {"command_delay_ms": delay_ms, "command_jitter_ms": jitter_ms}
+    made = LateCommands(quiet_plan("slip", {"gripper": late}), np.random.default_rng(3))
+    made.start(first)
+    return made
+
+
+@pytest.mark.parametrize(("delay", "jitter"), [(0.0, 0.0), (3.0, 0.0), (2.5, 0.0), (0.0, 6.0), (1.0, 20.0)])
+def test_late_commands_keep_their_order(delay: float, jitter: float) -> None:
+    """Assert that each command takes effect within its delay and jitter, in order, and the last one for good."""
+    commands = late_commands(("current", 0.0), delay, jitter)
+    seen = np.array([commands.at(k, ("current", float(min(k // 2, 100))))[1] for k in range(300)])
+    assert (np.diff(seen) >= 0).all()
+    assert seen[-1] == 100
+    first = np.array([np.flatnonzero(seen >= number)[0] for number in range(1, 101)])
+    late = first - 2 * np.arange(1, 101)
+    assert late.min() >= np.ceil(delay)
+    assert late.max() <= np.ceil(delay + jitter)
+    if jitter == 0.0:
+        assert np.ptp(late) == 0
+    else:
+        assert np.ptp(late) > jitter / 3
+
+
+def test_a_command_given_again_is_no_new_one() -> None:
+    """Assert that a goal that is repeated in each slice arrives once, its delay after it was first given."""
+    commands = late_commands(("position", 10.0), 5.0, 0.0)
+    seen = [commands.at(k, ("position", 20.0)) for k in range(10)]
+    assert seen == [("position", 10.0)] * 5 + [("position", 20.0)] * 5
 
 
 def test_noise_of_the_encoder() -> None:
@@ -149,18 +190,18 @@ def test_noise_of_the_encoder() -> None:
     for _ in range(600):
         for one in (noisy, plain):
             one.step()
-        readings.append(noisy.finger.position_ticks)
-        assert noisy.finger.motor_ticks == plain.finger.motor_ticks
-    off = np.array(readings) + 0.5 - noisy.finger.touch_ticks - noisy.finger.motor_ticks
+        readings.append(noisy.finger.state.position_ticks)
+        assert noisy.finger.state.motor_ticks == plain.finger.state.motor_ticks
+    off = np.array(readings) + 0.5 - noisy.finger.state.touch_ticks - noisy.finger.state.motor_ticks
     assert off.mean() == pytest.approx(0.0, abs=0.25)
     assert off.std() == pytest.approx(math.sqrt(4.0 + 1 / 12), rel=0.08)
     for one in (noisy, plain):  # the servo reads its encoder too: its current scatters by its gain
-        one.command = ("position", plain.finger.position_ticks)
+        one.finger.command = ("position", plain.finger.state.position_ticks)
     currents = []
     for _ in range(300):
         noisy.step()
-        currents.append(noisy.finger.current_ma)
-    assert np.std(currents) == pytest.approx(2.0 * noisy.drive.gain_ma_tick, rel=0.15)
+        currents.append(noisy.finger.state.current_ma)
+    assert np.std(currents) == pytest.approx(2.0 * noisy.finger.drive.gain_ma_tick, rel=0.15)
 
 
 def test_a_calibration_that_is_off() -> None:
@@ -229,8 +270,8 @@ def test_friction_that_varies_belongs_to_the_sensor(monkeypatch: pytest.MonkeyPa
         for each, seed in ((plan, 5), (uneven, 5), (uneven, 6))
     ]
     assert trials[0].sampled == trials[1].sampled
-    assert trials[0]._friction_factor is None
-    factors = [trial._friction_factor for trial in trials[1:]]
+    assert trials[0].pads.friction_factor is None
+    factors = [trial.pads.friction_factor for trial in trials[1:]]
     np.testing.assert_array_equal(*factors)
     even, varied = (truth_of(trial, 800) for trial in trials[:2])
     assert not even["truth/slip"].any()
@@ -238,7 +279,7 @@ def test_friction_that_varies_belongs_to_the_sensor(monkeypatch: pytest.MonkeyPa
     assert (even["truth/slip_share"] != varied["truth/slip_share"]).any()
     other = replace(plan, sensor=replace(patchy, seed=77))
     elsewhere = GraspSimulation(other, np.random.default_rng(5), np.random.default_rng(9))
-    assert np.abs(elsewhere._friction_factor - factors[0]).max() > 0.1
-    monkeypatch.setattr(gripped, "friction_factor", lambda _, nodes: np.full(nodes.shape[:2], 2.0))
+    assert np.abs(elsewhere.pads.friction_factor - factors[0]).max() > 0.1
+    monkeypatch.setattr(pads, "friction_factor", lambda _, nodes: np.full(nodes.shape[:2], 2.0))
     double = GraspSimulation(uneven, np.random.default_rng(5), np.random.default_rng(9))
-    assert double._slip_limit_n == pytest.approx(trials[0]._slip_limit_n / 2, rel=1e-12)
+    assert double.pads.slip_limit_n == pytest.approx(trials[0].pads.slip_limit_n / 2, rel=1e-12)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.evaluate.stability.extreme_scenes import merge
-from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2
-from evetac_cli.sim.scenes.shared import material, pad
+from evetac_cli.sim.scenes.shared import GRAVITY_M_S2, material, pad
 from evetac_cli.sim.setup.plan import Plan, first_plan
 from tests.make import play_trial
 from tests.sim.scenes.trials import grasp_of

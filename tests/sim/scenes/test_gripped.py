@@ -19,8 +19,10 @@ from evetac_cli.sim import gripper
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.cell_gaps import MEAN
-from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2, GraspSimulation
-from evetac_cli.sim.scenes.shared import material
+from evetac_cli.sim.scenes import gripped
+from evetac_cli.sim.scenes.gripped import GraspSimulation
+from evetac_cli.sim.scenes.held_object import PushesOnObject
+from evetac_cli.sim.scenes.shared import GRAVITY_M_S2, material
 from evetac_cli.sim.setup import sampling
 from evetac_cli.sim.setup.plan import first_plan, one_sensor
 from evetac_cli.sim.setup.sensor import GelCreep
@@ -47,7 +49,7 @@ def test_object_hangs_still(number: int) -> None:
     held = world(number)
     rows, _ = play_trial(held, 1100)
     assert not any(row["truth/slip"] for row in rows)
-    assert held.finger.force_n > held.sampled.mass_kg * GRAVITY_M_S2 / (2 * held.sampled.static_friction)
+    assert held.finger.state.force_n > held.sampled.mass_kg * GRAVITY_M_S2 / (2 * held.sampled.static_friction)
     dots = np.array([rows[at]["truth/dot_xy_px"] for at in (1000, 1099)])
     assert np.abs(dots[1] - dots[0]).max() < 0.01
     assert dots[1][:, 0].max() - held.gel_camera.grid_xy_px[..., 0].max() >= 0  # hangs along +x
@@ -71,7 +73,7 @@ def test_object_falls_when_released() -> None:
     """Assert that after the grip is opened the object falls freely: half g t^2, within 2 %."""
     fallen = world(8)
     play_trial(fallen, 600)
-    fallen.command = ("current", -60)
+    fallen.finger.command = ("current", -60)
     rows, _ = play_trial(fallen, 400)
     free = [index for index, row in enumerate(rows) if row["truth/normal_force_n"] == 0.0]
     assert len(free) > 60
@@ -154,7 +156,7 @@ def off_middle(monkeypatch: pytest.MonkeyPatch, number: int, **changes: Any) -> 
     sample = sampling.sample_trial
     with monkeypatch.context() as patch:
         patch.setattr(
-            sampling, "sample_trial", lambda *given: dataclasses.replace(sample(*given), tilt_rad=0.0, **changes)
+            gripped, "sample_trial", lambda *given: dataclasses.replace(sample(*given), tilt_rad=0.0, **changes)
         )
         return world(number)
 
@@ -166,7 +168,7 @@ def test_lever_turns_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
         held = off_middle(monkeypatch, 16, lever_m=lever_m)
         rows, _ = play_trial(held, 1100)
         assert not any(row["truth/slip"] for row in rows)
-        turned[lever_m] = held._gel.pose[2]
+        turned[lever_m] = held.pads.first.pose[2]
         assert rows[-1]["truth/object_xy_px"] == pytest.approx(rows[-2]["truth/object_xy_px"], abs=1e-3)
     assert abs(turned[0.0]) < 1e-9
     assert turned[2e-3] < -1e-4  # from x (down) to y (aside): the centre of mass, at +y, goes down
@@ -178,14 +180,14 @@ def test_object_whose_weight_hangs_beside_the_fingers_is_held(seed: int) -> None
     """Assert that object 20, 12 mm off its centre of mass, does not turn in the grip before the current falls."""
     held = grasp_of(merge(first_plan("slip", "20"), {"gripper": {"start_factor": [1.9, 1.9]}}), seed)
     assert not any(row["truth/slip"] for row in play_trial(held, 900)[0])
-    assert abs(held._gel.pose[2]) < 0.15  # the gel gives way; without a hold it turns by half a radian and more
+    assert abs(held.pads.first.pose[2]) < 0.15  # the gel gives way; without a hold it turns by half a radian and more
 
 
 def test_touched_beside_the_middle(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that an object touched 3 mm aside presses there, and moves the dots there most."""
     held = off_middle(monkeypatch, 8, touch_m=(0.0, 3e-3))
-    gap_m = held._gaps.summary[..., MEAN]
-    nearest = held._gel.node_xy_m[np.unravel_index(gap_m.argmin(), gap_m.shape)]
+    gap_m = held.pads.gaps.summary[..., MEAN]
+    nearest = held.pads.first.node_xy_m[np.unravel_index(gap_m.argmin(), gap_m.shape)]
     assert nearest[1] == pytest.approx(3e-3, abs=0.5e-3)
     rows, _ = play_trial(held, 900)
     sunk_px = rows[-1]["truth/dot_xy_px"][:, 0] - held.gel_camera.grid_xy_px[..., 0].ravel()  # type: ignore[index, call-overload]
@@ -197,15 +199,14 @@ def test_pushes_and_grip_of_the_data_rate_scene() -> None:
     """Assert that a push is a half sine of its force, and that the grip is the same force for every object."""
     planned = first_plan("data-rate", "18")
     pushed = grasp_of(planned)
-    push, drive = planned.scene.push, pushed.drive
-    lasts_s = push.lasts_s
+    push, drive = planned.scene.push, pushed.finger.drive
+    lasts_s, pushes = push.lasts_s, PushesOnObject(planned)
     for after_s, share in ((-1e-3, 0.0), (lasts_s / 4, np.sqrt(0.5)), (lasts_s / 2, 1.0), (lasts_s + 1e-3, 0.0)):
         for at_s, force_n in zip(push.at_s, push.force_n, strict=True):
-            pushed.slices = round((at_s + after_s) * 1000)
-            assert pushed._push() == pytest.approx(share * force_n, abs=1e-9)
-    force_n = (drive.force_per_current_n_ma * pushed.holding_ma() - drive.friction_n) / (1 + drive.friction_share)
+            assert pushes.force_n(at_s + after_s) == pytest.approx(share * force_n, abs=1e-9)
+    force_n = (drive.force_per_current_n_ma * pushed.finger.holding_ma - drive.friction_n) / (1 + drive.friction_share)
     assert 0.0 <= force_n - planned.scene.gripper.start_n <= drive.force_per_current_n_ma  # whole mA
-    assert pushed.holding_ma() == grasp_of(first_plan("data-rate", "1")).holding_ma() > 50
+    assert pushed.finger.holding_ma == grasp_of(first_plan("data-rate", "1")).finger.holding_ma > 50
 
 
 def test_a_grip_too_weak_for_its_object_is_refused() -> None:
@@ -293,7 +294,7 @@ def test_a_texture_that_nobody_looks_at(sensor: str) -> None:
         events, rows = [], []
         for ms in range(2300):  # closes, and the hand begins to rise
             if ms % 2 == 0:
-                trial.command = ("position", trial.finger.position_ticks + 2)
+                trial.finger.command = ("position", trial.finger.state.position_ticks + 2)
             events.append(trial.step())
             rows.append(trial.truth())
         seen[texture] = concatenate(events), rows
@@ -317,10 +318,10 @@ def test_what_just_holds_follows_the_hand_and_the_weight() -> None:
     if sampled.lever_m == 0.0:
         assert world_.holding_n == pytest.approx(rest_n, rel=1e-6)
     assert world_.truth()["truth/holding_force_n"] == world_.holding_n >= rest_n * (1 - 1e-6)
-    before_n, before_kg = world_.holding_n, world_.carried_kg
-    world_._pulls = 1.1
+    before_n, before_kg = world_.holding_n, world_.pads.carried_kg
+    world_.support.pulls = 1.1
     assert world_.holding_n == pytest.approx(1.1 * before_n)
-    world_._pulls = 1.0
-    world_._catch_weight()
-    assert world_.carried_kg == pytest.approx(before_kg + 0.1)
+    world_.support.pulls = 1.0
+    world_.pads.catch(0.1, 1.0)
+    assert world_.pads.carried_kg == pytest.approx(before_kg + 0.1)
     assert world_.holding_n > before_n

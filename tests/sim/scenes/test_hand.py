@@ -1,15 +1,16 @@
 """The hand's motion: closed forms of its profiles, and its vibration as the object feels it."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from evetac_cli.sim.scenes.gripped import GRAVITY_M_S2
-from evetac_cli.sim.scenes.hand import FADE_S, Hand
-from evetac_cli.sim.scenes.shared import STEP_S
+from evetac_cli.sim.scenes.held_object import FADE_S, Hand
+from evetac_cli.sim.scenes.shared import GRAVITY_M_S2, STEP_S
 from evetac_cli.sim.setup.held import HandSettings
+from evetac_cli.sim.setup.plan import first_plan
 from evetac_cli.sim.setup.tables import read_table
 from tests.sim.scenes.trials import grasp_of, quiet_plan
 
@@ -19,7 +20,10 @@ SHAKES = {"frequency_hz": [18.0, 41.0], "acceleration_m_s2": [0.6, 0.3]}
 
 def speeds(hand: dict[str, Any], slices: int = 1500) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Speed at the end of each slice, and acceleration within it, of a hand that rises from 0.2 s on."""
-    one = Hand(read_table(HandSettings, hand, "here"), 0.2, STEP_S, np.random.default_rng(1))
+    planned = first_plan("lift")
+    time = replace(planned.scene.time, touch_s=0.2, before_rise_s=0.0)
+    scene = replace(planned.scene, time=time, hand=read_table(HandSettings, hand, "here"))
+    one = Hand(replace(planned, scene=scene), np.random.default_rng(1))
     rows = [(one.accelerate(k), one.speed_m_s) for k in range(slices)]
     acceleration, speed = np.array(rows).T
     return speed, acceleration
@@ -74,17 +78,18 @@ def test_only_while_it_moves() -> None:
 def test_a_held_object_is_shaken() -> None:
     """Assert m dv/dt = m (g + a) - 2 F in each slice, with a the acceleration of the hand, and equal samples."""
     shakes = {"vibration": SHAKES}
-    held, still = grasp_of(quiet_plan("slip", {"hand": shakes})), grasp_of(quiet_plan("slip"))
+    planned = quiet_plan("slip", {"hand": shakes})
+    held, still = grasp_of(planned), grasp_of(quiet_plan("slip"))
     assert held.sampled == still.sampled
     mass_kg, fall_m_s, friction_n, moved = held.sampled.mass_kg, [], [], []
     for one in (held, still):
         for _ in range(900):
             one.step()
             if one is held:
-                fall_m_s.append(one._gel.twist[0])
+                fall_m_s.append(one.pads.first.twist[0])
                 friction_n.append(one.truth()["truth/shear_force_n"][0])
         moved.append(one.truth()["truth/object_xy_px"][0])
-    hand = Hand(read_table(HandSettings, shakes, "here"), 0.0, STEP_S, np.random.default_rng(0).spawn(2)[1])
+    hand = Hand(planned, np.random.default_rng(0).spawn(2)[1])
     expected = np.array([hand.accelerate(k) for k in range(900)])
     acting = np.diff(fall_m_s, prepend=0.0) / STEP_S + 2 * np.array(friction_n) / mass_kg - GRAVITY_M_S2
     loaded = slice(600, 900)
@@ -101,6 +106,6 @@ def test_an_object_on_a_table_goes_with_the_table() -> None:
     for k in range(700):
         shaken.step()
         if k >= 100:
-            swing_m.append(shaken._fallen_m())
+            swing_m.append(shaken.held.fallen_m)
             assert abs(shaken.truth()["truth/table_gap_mm"]) < 0.01
     assert np.ptp(swing_m) / 2 == pytest.approx(1.0 / (2 * np.pi * 10.0) ** 2, rel=0.02)

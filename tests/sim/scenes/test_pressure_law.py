@@ -28,9 +28,9 @@ def with_exponent(exponent: float, changes: dict[str, Any] | None = None, **more
 
 def let_go(trial: GraspSimulation, slices: int = 700) -> Iterator[dict[str, Any]]:
     """The truth of each slice, while the current falls once the object hangs."""
-    held_ma = trial.command[1]
+    held_ma = trial.finger.command[1]
     for k in range(slices):
-        trial.command = ("current", held_ma - max(0, k - 500) * 0.1)
+        trial.finger.command = ("current", held_ma - max(0, k - 500) * 0.1)
         trial.step()
         yield trial.truth()
 
@@ -52,13 +52,13 @@ def test_a_law_of_exponent_0_is_that_without_one() -> None:
 def test_all_nodes_together_hold_as_before() -> None:
     """Assert that shares of the friction sum to 1 as the grip opens, and that the slip limit is that of Coulomb."""
     coulomb, trial = (grasp_of(with_exponent(exponent)) for exponent in (0.0, 0.67))
-    assert trial._slip_limit_n == pytest.approx(coulomb._slip_limit_n, rel=1e-12)
+    assert trial.pads.slip_limit_n == pytest.approx(coulomb.pads.slip_limit_n, rel=1e-12)
     factors = set()
     for row in let_go(trial, 1100):
         if row["truth/normal_force_n"] > 0.0:
-            assert trial._gel.gripping(trial._shares).sum() == pytest.approx(1.0, rel=1e-12)
-            assert trial._gel.friction_factor is not None
-            factors.add(float(trial._gel.friction_factor.max()))
+            assert trial.pads.first.gripping(trial.pads.shares).sum() == pytest.approx(1.0, rel=1e-12)
+            assert trial.pads.first.friction_factor is not None
+            factors.add(float(trial.pads.first.friction_factor.max()))
     assert len(factors) > 100
     assert max(factors) > 1.5
 
@@ -79,10 +79,10 @@ def test_it_multiplies_what_the_gel_and_the_second_finger_have() -> None:
     second = {"gripper": {"second_finger": {"friction_factor": 0.5, "stiffness_factor": 2.0}}}
     patchy = {"patch_spread": 0.2, "patch_mm": 3.0}
     plain, trial = (grasp_of(with_exponent(exponent, second, **patchy)) for exponent in (0.0, 0.67))
-    assert trial._second is not None
+    assert trial.pads.second is not None
     for state, own, shares in (
-        (trial._gel, plain._friction_factor, trial._shares),
-        (trial._pads[1], trial._second.friction_factor, trial._second_shares),
+        (trial.pads.first, plain.pads.friction_factor, trial.pads.shares),
+        (trial.pads.second.state, trial.pads.second.friction_factor, trial.pads.second.shares),
     ):
         assert state.friction_factor is not None
         assert own is not None
@@ -90,8 +90,8 @@ def test_it_multiplies_what_the_gel_and_the_second_finger_have() -> None:
         law = state.friction_factor / own
         assert (law * shares).sum() == pytest.approx(1.0, rel=1e-12)
         assert law[shares > 0].max() > 1.1
-    assert trial._slip_limit_n == pytest.approx(plain._slip_limit_n, rel=0.05)
-    assert trial._slip_limit_n != plain._slip_limit_n
+    assert trial.pads.slip_limit_n == pytest.approx(plain.pads.slip_limit_n, rel=0.05)
+    assert trial.pads.slip_limit_n != plain.pads.slip_limit_n
 
 
 @pytest.mark.parametrize("exponent", [0.0, 0.67, 1.0])

@@ -8,7 +8,9 @@ import pytest
 
 from evetac_cli.evaluate.stability.extreme_scenes import merge
 from evetac_cli.kernels.grip import paper as grip
-from evetac_cli.sim.scenes.gripped import FINGER_STIFFNESS_N_M, GRAVITY_M_S2, GraspSimulation
+from evetac_cli.sim.scenes.gripped import GraspSimulation
+from evetac_cli.sim.scenes.pads import FINGER_STIFFNESS_N_M
+from evetac_cli.sim.scenes.shared import GRAVITY_M_S2
 from evetac_cli.sim.setup.plan import NamedSensor, first_plan, one_sensor
 from evetac_cli.sim.setup.sensor import GelFriction
 from tests.sim.scenes.trials import NONE, grasp_of, quiet_plan
@@ -22,7 +24,7 @@ def with_second_finger(name: str, second: dict[str, float] | None, **durations: 
 
 def both_n(one: GraspSimulation) -> tuple[float, float]:
     """Friction along gravity on the first and on the second pad, in the slice made last."""
-    done: Any = one._gel_slices._done
+    done: Any = one.pads._slices._done
     return done.friction_n[0], done.second_friction_n[0]
 
 
@@ -30,11 +32,11 @@ def both_n(one: GraspSimulation) -> tuple[float, float]:
 def test_a_second_finger_that_does_not_differ() -> None:
     """Assert that it makes the trial of mirrored fingers, from hold to loss, within 0.01 px and 1 ms of slip."""
     mirrored, own = (with_second_finger("slip", second) for second in (None, {"friction_factor": 1.0}))
-    held_ma = mirrored.command[1]
+    held_ma = mirrored.finger.command[1]
     slips: dict[int, list[bool]] = {0: [], 1: []}
     for k in range(1500):
         for number, one in enumerate((mirrored, own)):
-            one.command = ("current", held_ma - max(0, k - 600) * 0.06)
+            one.finger.command = ("current", held_ma - max(0, k - 600) * 0.06)
             one.step()
             slips[number].append(bool(one.truth()["truth/slip"]))
         if not slips[0][-1]:
@@ -49,8 +51,9 @@ def test_a_second_finger_that_does_not_differ() -> None:
 def test_both_fingers_press_with_one_force(stiffness: float) -> None:
     """Assert that both gels are pressed in as their stiffness says, and that these and the links make the closing."""
     one = with_second_finger("slip", {"stiffness_factor": stiffness})
-    finger, curve, gaps = one.finger, one._curve, one._gaps
-    node_n_m = one_sensor("evetac").normal_modulus_pa / one._material.height_m * one._gel.cell_area_m2
+    finger, pads = one.finger.state, one.pads
+    curve, gaps, second = pads.curve, pads.gaps, pads.second
+    node_n_m = one_sensor("evetac").normal_modulus_pa / pads.first.material.height_m * pads.first.cell_area_m2
     assert curve.second_indentation_m is not None
     second_m = float(np.interp(finger.force_n, curve.force_n, curve.second_indentation_m))
     pressed_n = [
@@ -61,15 +64,15 @@ def test_both_fingers_press_with_one_force(stiffness: float) -> None:
     assert (second_m > finger.indentation_m) == (stiffness < 1.0)
     closing_m = finger.indentation_m + second_m + finger.force_n / FINGER_STIFFNESS_N_M
     assert finger.closing_ticks * curve.metres_per_tick == pytest.approx(closing_m, rel=1e-4)
-    assert one._second_shares is not None
-    assert one._second_shares.sum() == pytest.approx(1.0)
-    assert ((one._second_shares > 0).sum() > (one._shares > 0).sum()) == (stiffness < 1.0)
+    assert second is not None
+    assert second.shares.sum() == pytest.approx(1.0)
+    assert ((second.shares > 0).sum() > (pads.shares > 0).sum()) == (stiffness < 1.0)
 
 
 def test_slip_limit_of_different_fingers() -> None:
     """Assert that a second finger of a share f of the friction needs 2 / (1 + f) times the force."""
     mirrored, half = (with_second_finger("slip", second) for second in (None, {"friction_factor": 0.5}))
-    assert half._slip_limit_n == pytest.approx(mirrored._slip_limit_n * 2 / 1.5, rel=1e-12)
+    assert half.pads.slip_limit_n == pytest.approx(mirrored.pads.slip_limit_n * 2 / 1.5, rel=1e-12)
     assert half.sampled == mirrored.sampled
 
 
@@ -82,7 +85,8 @@ def test_a_lift_with_different_fingers() -> None:
     for k in range(2600):
         if k % 2 == 0:
             phase = grip.GraspPhase(int(k >= 1500))
-            one.command = ("position", grip.step(law, phase, one.view.slip._slips, one.finger.position_ticks))
+            ticks = one.finger.state.position_ticks
+            one.finger.command = ("position", grip.step(law, phase, one.view.slip._slips, ticks))
         one.step()
         carried_n.append(both_n(one))
     assert one.truth()["truth/table_gap_mm"] > 3.0
@@ -98,8 +102,8 @@ def test_fingers_differ_where_friction_varies() -> None:
     planned = merge(first_plan("slip"), {"gripper": {"second_finger": {"friction_factor": 0.6}}})
     patchy = replace(planned.sensor, friction=GelFriction(patch_spread=0.2, patch_mm=3.0))
     one = grasp_of(replace(planned, sensor=patchy))
-    assert one._second is not None
-    first, second = one._friction_factor, one._second.friction_factor
+    assert one.pads.second is not None
+    first, second = one.pads.friction_factor, one.pads.second.friction_factor
     assert first is not None
     assert second.mean() == pytest.approx(0.6)
     assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.5
@@ -115,9 +119,9 @@ def test_the_second_camera_sees_the_mirror_image() -> None:
         *(np.random.default_rng(part) for part in range(2)),
         second_optics_rng=np.random.default_rng(2),
     )
-    held_ma = one.command[1]
+    held_ma = one.finger.command[1]
     for k in range(60):
-        one.command = ("current", held_ma - k)
+        one.finger.command = ("current", held_ma - k)
         events = one.step()
     assert one.second_events is not None
     assert one.second_events.size == pytest.approx(events.size, rel=0.5, abs=20)

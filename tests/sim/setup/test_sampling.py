@@ -11,7 +11,7 @@ import pytest
 from evetac_cli.sim.setup import object_file, sampling, scene_file
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.scene import Scene
-from evetac_cli.sim.setup.sensor import GelFriction, Sensor, SensorGripper
+from evetac_cli.sim.setup.sensor import GelFriction, Sensor
 from evetac_cli.sim.setup.sensor_rows import rows
 
 SLIP = scene_file.load("slip")
@@ -160,12 +160,3 @@ def test_a_range_of_another_name_has_the_same_values() -> None:
     moved = {"leak_hz": sensor.mismatch, "friction": replace(sensor.friction, stribeck_mm_s=sensor.gripper.mass_kg)}
     without = {"mismatch": 0.05, "gripper": replace(sensor.gripper, mass_kg=None)}
     assert renamed == replace(sensor, **moved, **without)
-
-
-def test_faults_of_a_gripper() -> None:
-    """Assert that a scene's faults stand above those of the sensor's gripper, and that what none names is 0."""
-    own = replace(EVETAC, gripper=SensorGripper(backlash_ticks=1.0, command_delay_ms=3.0))
-    faults = sampling.gripper_faults(replace(SLIP, gripper=replace(SLIP.gripper, backlash_ticks=0.0)), own)
-    assert faults.backlash_ticks == 0.0
-    assert faults.command_delay_ms == 3.0
-    assert faults.encoder_noise_ticks == 0.0

@@ -1,0 +1,300 @@
+"""The object in the gripper: where it is, what pushes it, and what carries it besides the fingers.
+
+The table is a plane in the gripper's frame, which sinks as the hand rises. The hand that carries the gripper follows a
+planned rise; a jerk and the vibration of the robot are added to it. The planned motion is a trapezoid of speed, a
+trapezoid with smooth corners (s-curve), or a trapezoid in steps. Steps are those of a robot controller that updates its
+speed at 125 Hz; users report 125 Hz for Universal Robots' CB3 controllers and 500 Hz for the e-series. A vibration is a
+sum of sine waves of acceleration with random phases.
+
+The hand is controlled by speed, and its acceleration in a slice is the change of that speed. So motion and inertia
+agree to the bit. A vibration that began or ended at once would be a knock, so it fades in and out over FADE_S.
+"""
+
+import math
+
+import numpy as np
+
+from evetac_cli.events import SLICES_PER_S
+from evetac_cli.sim.gel import gel
+from evetac_cli.sim.gel.adaptive import Slice
+from evetac_cli.sim.scenes.pads import Pads
+from evetac_cli.sim.scenes.shared import GRAVITY_M_S2, STEP_S
+from evetac_cli.sim.setup.plan import Plan
+from evetac_cli.sim.setup.sampling import SampledTrial
+from evetac_cli.sim.setup.scene_part import Essential, OfGripper, ScenePart
+
+CONTROLLER_HZ = 125.0  # update rate of the robot controller, for the profile `steps`
+FADE_S = 0.05  # time over which a vibration fades in and out
+GONE_M = 0.02  # an object that slid this far is lost
+
+
+class FreeObject(OfGripper, Essential):
+    """The object that the gripper holds; nothing else guides it."""
+
+    NAME = "free object"
+    KEYS = ("scene.kind",)
+
+
+class OtherMass(ScenePart):
+    """An object that is heavier or lighter than its row says."""
+
+    NAME = "other mass of the object"
+    KEYS = ("scene.object.mass_g",)
+    MEASURED = False
+
+
+class PushesOnObject(ScenePart):
+    """Half-sine pushes on the object, along gravity."""
+
+    NAME = "pushes"
+    KEYS = ("scene.push", "scene.push.lasts_s")
+
+    def __init__(self, plan: Plan, rng: np.random.Generator | None = None) -> None:
+        """Prepare the pushes."""
+        assert plan.scene.push is not None
+        self._push = plan.scene.push
+
+    def force_n(self, now_s: float) -> float:
+        """Return the downward force at a time."""
+        push = self._push
+        forces = [
+            force_n * float(np.sin(np.pi * (now_s - at) / push.lasts_s))
+            for at, force_n in zip(push.at_s, push.force_n, strict=True)
+            if at <= now_s < at + push.lasts_s
+        ]
+        return float(sum(forces))
+
+
+class WeightOnObject(ScenePart):
+    """A weight that lands on the object and stays there."""
+
+    NAME = "falling weight"
+    KEYS = ("scene.drop", "scene.drop.mass_g")
+
+    def __init__(self, plan: Plan, rng: np.random.Generator | None = None) -> None:
+        """Prepare the weight."""
+        assert plan.scene.drop is not None
+        self._drop = plan.scene.drop
+        self._since = round(plan.scene.drop.after_s * SLICES_PER_S)
+
+    def land(self, slice_number: int, pads: Pads, lifted_at: int) -> None:
+        """Let the weight land in its slice; lifted_at: slice in which the balancing phase starts."""
+        if slice_number == lifted_at + self._since:
+            pads.catch(self._drop.mass_g * 1e-3, self._drop.speed_m_s)
+
+
+class HeldObject:
+    """The position of the object, and what pushes it.
+
+    start_m: its centre of mass when the trial starts.
+    """
+
+    def __init__(self, plan: Plan, pads: Pads, lift_s: float) -> None:
+        """Start with the object where the pads hold it."""
+        self._pads, self._time = pads, plan.scene.time
+        self.start_m = pads.first.pose[:2].copy()
+        self._lifted_at = round((plan.scene.time.touch_s + lift_s) * SLICES_PER_S)
+        self._pushes, self._weight = PushesOnObject.of(plan), WeightOnObject.of(plan)
+
+    @property
+    def fallen_m(self) -> float:
+        """Return the object's motion along gravity since the start."""
+        down = self._pads.down
+        return float(self._pads.first.pose[down] - self.start_m[down])
+
+    def catch(self, slice_number: int) -> None:
+        """Let a weight land on the object, if the scene drops one in this slice."""
+        if self._weight is not None:
+            self._weight.land(slice_number, self._pads, self._lifted_at)
+
+    def load(self, slice_number: int) -> float:
+        """Return the share of the weight on the gripper: handed over smoothly after the rest."""
+        done = (slice_number * STEP_S - self._time.rest_s) / max(self._time.load_s, STEP_S)
+        if done >= 1.0:
+            return 1.0
+        return float(0.5 - 0.5 * np.cos(np.pi * min(max(done, 0.0), 1.0)))
+
+    def push_n(self, slice_number: int) -> float:
+        """Return the downward force of the scene's pushes in a slice."""
+        return 0.0 if self._pushes is None else self._pushes.force_n(slice_number * STEP_S)
+
+
+class TableAndHand(Essential):
+    """The table from which a hand lifts gripper and object."""
+
+    NAME = "table and hand"
+    KEYS = ("scene.hand", "scene.hand.height_mm")
+
+    @classmethod
+    def is_in(cls, plan: Plan) -> bool:
+        """Return whether a plan's object is lifted from a table."""
+        return plan.scene.kind == "lift"
+
+
+class HandProfile(ScenePart):
+    """A profile of the hand's speed that is not a trapezoid."""
+
+    NAME = "profile of the hand's motion"
+    KEYS = ("scene.hand.profile",)
+
+
+class ShakenHand(ScenePart):
+    """Vibration of the robot that carries the gripper."""
+
+    NAME = "vibration of the hand"
+    KEYS = ("scene.hand.vibration", "scene.hand.vibration.frequency_hz")
+
+    def __init__(self, plan: Plan, rng: np.random.Generator | None = None) -> None:
+        """Draw the random phases."""
+        vibration = plan.scene.hand.vibration
+        assert vibration is not None and rng is not None
+        self.only_moving = vibration.only_moving
+        self._turning = 2 * np.pi * np.array(vibration.frequency_hz, dtype=np.float64)
+        self._swing_m_s = np.array(vibration.acceleration_m_s2, dtype=np.float64) / self._turning
+        self._phase_rad = rng.uniform(0.0, 2 * np.pi, len(self._turning))
+
+    def speed_m_s(self, now_s: float, fades_s: float) -> float:
+        """Return the speed: for each acceleration A sin(w t + p), -A/w cos(w t + p).
+
+        fades_s: time since the vibration began, or until it ends.
+        """
+        if fades_s <= 0.0:
+            return 0.0
+        strength = 1.0 if fades_s >= FADE_S else 0.5 - 0.5 * math.cos(math.pi * fades_s / FADE_S)
+        return -strength * float((self._swing_m_s * np.cos(self._turning * now_s + self._phase_rad)).sum())
+
+
+class JerkedHand(ScenePart):
+    """A jerk of the hand: half a sine wave of speed, upwards."""
+
+    NAME = "jerk of the hand"
+    KEYS = ("scene.hand.jerk", "scene.hand.jerk.speed_mm_s")
+
+    def __init__(self, plan: Plan, rng: np.random.Generator | None = None) -> None:
+        """Prepare the jerk."""
+        assert plan.scene.hand.jerk is not None
+        self._jerk = plan.scene.hand.jerk
+
+    def speed_m_s(self, now_s: float) -> float:
+        """Return the speed that the jerk adds to the hand's upward speed at a time."""
+        since_s, lasts_s = now_s - self._jerk.at_s, self._jerk.lasts_s
+        if not 0.0 < since_s < lasts_s:
+            return 0.0
+        return self._jerk.speed_mm_s * 1e-3 * math.sin(math.pi * since_s / lasts_s)
+
+
+class Hand:
+    """Speed of a hand along gravity, positive upwards, slice by slice."""
+
+    def __init__(self, plan: Plan, rng: np.random.Generator) -> None:
+        """Build a hand at rest; rng: source of its vibration's phases."""
+        settings, time = plan.scene.hand, plan.scene.time
+        self._rises_at_s = time.touch_s + time.before_rise_s
+        self._height_m = settings.height_mm * 1e-3
+        self._fastest_m_s = settings.speed_mm_s * 1e-3
+        self._profile = settings.profile
+        self._starts_for_s = self._fastest_m_s / (settings.acceleration_mm_s2 * 1e-3)
+        if self._profile == "s-curve":
+            self._starts_for_s *= 0.5 * math.pi  # so that the peak acceleration is the scene's acceleration_mm_s2
+        self._jerk, self._vibration = JerkedHand.of(plan), ShakenHand.of(plan, rng)
+        self._never_moves = settings.is_still
+        self.speed_m_s = 0.0
+
+    def accelerate(self, slice_number: int) -> float:
+        """Advance by a slice: set speed_m_s to the speed at its end, and return the acceleration in the slice."""
+        if self._never_moves:
+            return 0.0
+        now_s, before_m_s = (slice_number + 1) * STEP_S, self.speed_m_s
+        since_s = now_s - self._rises_at_s
+        self.speed_m_s = self._planned_m_s(since_s)
+        if self._jerk is not None:
+            self.speed_m_s += self._jerk.speed_m_s(now_s)
+        if self._vibration is not None:
+            fades_s = now_s
+            if self._vibration.only_moving:
+                fades_s = min(since_s, self._height_m / self._fastest_m_s + self._starts_for_s - since_s)
+            self.speed_m_s += self._vibration.speed_m_s(now_s, fades_s)
+        return (self.speed_m_s - before_m_s) / STEP_S
+
+    def _planned_m_s(self, since_s: float) -> float:
+        """Return the speed of the planned motion, which rises by the scene's height, a time after its start."""
+        if self._height_m == 0.0:
+            return 0.0
+        if self._profile == "steps":
+            since_s = math.floor(since_s * CONTROLLER_HZ + 1e-9) / CONTROLLER_HZ
+        ramp_s, cruise_s = self._starts_for_s, self._height_m / self._fastest_m_s
+        done = min(max(min(since_s, cruise_s + ramp_s - since_s) / ramp_s, 0.0), 1.0)
+        if self._profile == "s-curve":
+            done = 0.5 - 0.5 * math.cos(math.pi * done)
+        return self._fastest_m_s * done
+
+
+class Support:
+    """What carries the object besides the fingers: a table, the floor, or something that hands it over to them.
+
+    pulls: gravity plus the hand's acceleration, divided by gravity. table_m: how far the table has sunk.
+    """
+
+    def __init__(
+        self, plan: Plan, sampled: SampledTrial, pads: Pads, held: HeldObject, rng: np.random.Generator
+    ) -> None:
+        """Start with a hand at rest; rng: its random stream."""
+        self._kind, self._theta, self._floor_m = plan.scene.kind, plan.scene.solver.theta, sampled.floor_m
+        self._after_lost_s = plan.scene.time.after_lost_s
+        self._pads, self._held, self._hand = pads, held, Hand(plan, rng)
+        self.pulls, self.table_m = 1.0, 0.0
+        self._on_table = TableAndHand.is_in(plan)
+        self._lost_for = 0
+
+    def advance(self, slice_number: int, force_n: tuple[float, float], friction: gel.Friction) -> Slice:
+        """Solve a slice of the pads for an object that hangs between them, or that something else carries.
+
+        force_n: normal force at the start and the end of the slice.
+        """
+        acceleration = self._hand.accelerate(slice_number)
+        self.pulls = max(1.0 + acceleration / GRAVITY_M_S2, 0.0)
+        weight_n = self._pads.carried_kg * (GRAVITY_M_S2 + acceleration)
+        if self._kind == "lift":
+            return self._advance_over_table(force_n, friction, weight_n)
+        load = self._held.load(slice_number)
+        if self._kind == "hold" and (load == 0.0 or self._held.fallen_m > self._floor_m):
+            return self._pads.advance(force_n, friction, 0.0, 0.0)
+        return self._pads.advance(force_n, friction, weight_n * load + self._held.push_n(slice_number))
+
+    def _advance_over_table(self, force_n: tuple[float, float], friction: gel.Friction, weight_n: float) -> Slice:
+        """Solve a slice over the table: if the object would sink into the table, the table carries it.
+
+        At most both cases are tried, first that of the slice before. An object on the table stays there as long as the
+        table has to push it up (otherwise the object would hang on the table). A hanging object keeps hanging as long
+        as it does not sink into the table.
+        """
+        pads = self._pads
+        self.table_m += self._hand.speed_m_s * STEP_S
+        speed, falling = (self.table_m - self._held.fallen_m) / STEP_S, pads.first.twist[pads.down]
+        pads.remember()
+        if self._on_table:
+            done = pads.advance(force_n, friction, 0.0, speed)
+            inertial_n = pads.carried_kg * (speed - falling) / (self._theta * STEP_S)
+            held_n = 2 * done.friction_n[pads.down]
+            if pads.second is not None:
+                held_n = done.friction_n[pads.down] + done.second_friction_n[pads.down]
+            if weight_n - held_n - inertial_n >= 0.0:
+                return done
+            pads.rewind()
+        done = pads.advance(force_n, friction, weight_n)
+        self._on_table = self._held.fallen_m > self.table_m
+        if self._on_table:
+            pads.rewind()
+            done = pads.advance(force_n, friction, 0.0, speed)
+        return done
+
+    def has_lost_it(self, force_n: float) -> bool:
+        """Return whether the trial is over: a ramp some time after contact is lost, a grasp after the object fell."""
+        if self._kind == "hold":
+            return False
+        fallen_m = self._held.fallen_m
+        gone = force_n <= 0.0 or fallen_m > GONE_M
+        if self._kind == "lift":
+            gone = fallen_m > GONE_M and self.table_m - fallen_m > GONE_M and force_n <= 0.0
+        self._lost_for = self._lost_for + 1 if gone else 0
+        return self._lost_for > self._after_lost_s / STEP_S

@@ -1,0 +1,286 @@
+"""The gel between the fingers and a held object: pressure, friction and motion of one pad, or of two that differ.
+
+One pad stands for two that mirror each other. Both are simulated if the second finger differs, or has a camera. Both
+press with the same force and hold the same rigid object. The second pad has its own friction and stiffness, and so its
+own indentation, contact and shear. Two effects are not simulated. The object does not tip when one finger carries more
+than the other, which would shift the pressure along each pad. And if the second sensor is another one, only its level
+of friction and its pattern on the gel are used, and its gel ends where the first one's does.
+
+The second sensor faces the first: it is the first sensor, rotated by half a turn about the fingers' long axis, which is
+x of the image. So motion along x is the same in both images; motion along y and rotations are reversed. Both pads are
+simulated in the coordinates of the first sensor.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from evetac_cli.arrays import Floats
+from evetac_cli.sim import gripper
+from evetac_cli.sim.gel import contact, gel
+from evetac_cli.sim.gel.adaptive import Slice, Stepper
+from evetac_cli.sim.gel.cell_gaps import CellGaps
+from evetac_cli.sim.gel.pressure_law import PressureLaw
+from evetac_cli.sim.scenes.gel_view import GelView
+from evetac_cli.sim.scenes.shared import (
+    GRAVITY_M_S2,
+    GelSlices,
+    friction_factor,
+    friction_of,
+    material,
+    pad,
+    press,
+    pressure_law,
+)
+from evetac_cli.sim.setup.held import SecondFingerSettings
+from evetac_cli.sim.setup.plan import Plan
+from evetac_cli.sim.setup.sampling import SampledTrial, sensor_with_gel
+from evetac_cli.sim.setup.scene_part import OfGripper
+from evetac_cli.sim.timing import Timer
+
+FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, from fingers, links and mounts; fitted to the paper's two bottles
+CLOSING_S, CLOSING_STEPS = 0.5, 10  # time and steps in which a finger closes on a ramp's object, before the trial
+
+Three = tuple[float, float, float]
+
+
+class SecondFinger(OfGripper):
+    """A second pad: its friction and stiffness relative to the first, its pressure, and its gel."""
+
+    NAME = "second finger of its own"
+    KEYS = ("scene.gripper.second_finger",)
+    MEASURED = True
+
+    state: gel.GelState
+    shares: Floats
+
+    def __init__(self, plan: Plan, rng: np.random.Generator | None = None) -> None:
+        """Build the pad; if friction varies over the gel, this pad has its own pattern."""
+        settings = plan.scene.gripper.second_finger or SecondFingerSettings()
+        first = sensor_with_gel(plan.scene, plan.sensor)
+        own = self._sensor = first if plan.second is None else sensor_with_gel(plan.scene, plan.second.sensor)
+        self._shear_factor = settings.stiffness_factor
+        self.stiffness_factor = settings.stiffness_factor * (own.normal_modulus_pa / first.normal_modulus_pa)
+        self._friction = settings.friction_factor * (own.static_friction_factor / first.static_friction_factor)
+        self.indentation_m = 0.0
+
+    @classmethod
+    def is_in(cls, plan: Plan) -> bool:
+        """Return whether a plan's second finger differs, or has a camera."""
+        return plan.second is not None or super().is_in(plan)
+
+    @classmethod
+    def without(cls, plan: Plan) -> Plan:
+        """Return the plan with fingers that mirror each other."""
+        return replace(super().without(plan), second=None)
+
+    def start(self, first: gel.GelState) -> gel.GelState:
+        """Start the gel, undeformed; it holds the object of the first pad."""
+        varies = friction_factor(self._sensor, first.node_xy_m, finger=1)
+        even = np.full(first.node_xy_m.shape[:2], self._friction)
+        self.friction_factor: Floats = even if varies is None else even * varies
+        of_sensor = material(self._sensor)
+        layer = replace(of_sensor, shear_modulus_pa=of_sensor.shear_modulus_pa * self._shear_factor)
+        mass_kg, _, inertia = first.inertia.tolist()
+        self.state = gel.start(first.node_xy_m, layer, mass_kg, inertia, 1, friction_factor=self.friction_factor)
+        return self.state
+
+    def press(self, curve: contact.ForceCurve, closing_ticks: float, gaps: CellGaps, law: PressureLaw | None) -> None:
+        """Compute each node's share of the normal force at a closing of the gripper."""
+        assert curve.second_indentation_m is not None
+        self.indentation_m = contact.lookup(curve.second_indentation_m, curve.step_ticks, closing_ticks)
+        self.shares = press(self.state, self.indentation_m, gaps, self.friction_factor, law)
+
+
+class Pads:
+    """Both pads and the object that they hold; `press` and then `advance` perform a slice.
+
+    first: the gel of the first finger, with pose and motion of the object; second: the other pad if it differs. gaps:
+    between object and undeformed gel. curve: force and indentation over the closing of the gripper. views: followed
+    through the steps of a slice.
+    """
+
+    def __init__(self, plan: Plan, sampled: SampledTrial, timer: Timer) -> None:
+        """Place the object between undeformed pads, without pressure."""
+        scene, object, sensor = plan.scene, plan.object, sensor_with_gel(plan.scene, plan.sensor)
+        assert object is not None
+        self._sampled, self._solver = sampled, scene.solver
+        self.down = 1 if scene.gel.sideways else 0
+        nodes = pad(scene.solver, sensor, cut=scene.gel.cut)
+        upright = np.ascontiguousarray(nodes[..., ::-1]) if self.down else nodes
+        width_m, height_m = object.held_mm * 1e-3, object.height_mm * 1e-3
+        radius_m = object.width_mm * 0.5e-3
+        self.gaps = contact.gap_profile(upright - sampled.touch_m, object.shape, radius_m, sampled.tilt_rad)
+        layer = material(sensor)
+        own_stiffness = sensor.gripper.finger_stiffness_n_m
+        self.second = SecondFinger.of(plan)
+        self.curve = contact.force_curve(
+            self.gaps,
+            contact.cell_area(nodes),
+            sensor.normal_modulus_pa,
+            layer.height_m,
+            FINGER_STIFFNESS_N_M if own_stiffness is None else own_stiffness,
+            gripper.metres_per_tick(width_m),
+            second_stiffness=None if self.second is None else self.second.stiffness_factor,
+        )
+        self.friction_factor, self.law = friction_factor(sensor, nodes), pressure_law(sampled)
+        along, across = sampled.touch_m[0], sampled.touch_m[1] + sampled.lever_m
+        self.first = gel.start(
+            nodes,
+            layer,
+            sampled.mass_kg,
+            sampled.mass_kg * (height_m**2 + width_m**2) / 12,
+            2 if self.second is None else 1,
+            body_xy_m=(across, along) if self.down else (along, across),
+            friction_factor=self.friction_factor,
+        )
+        second_pad = None if self.second is None else self.second.start(self.first)
+        self._states = (self.first,) if second_pad is None else (self.first, second_pad)
+        self.slip_limit_n = self._limit_n(sampled.mass_kg)
+        self._slices = GelSlices(self.first, self._solver, second_pad, timer)
+        self._before = tuple(state.copy() for state in self._states)  # a slice may have to be repeated
+        self._pressed_m = math.nan  # indentation for which the shares of the nodes were computed
+        self.views: tuple[GelView, ...] = ()
+
+    @property
+    def still_for(self) -> int:
+        """Return the number of slices in which nothing has changed."""
+        return self._slices.still_for
+
+    def press(self, finger: gripper.DriveState) -> None:
+        """Compute each node's share of the normal force at a finger's position."""
+        if finger.indentation_m != self._pressed_m:
+            self._pressed_m = finger.indentation_m
+            self.shares = press(self.first, self._pressed_m, self.gaps, self.friction_factor, self.law)
+            if self.second is not None:
+                self.second.press(self.curve, finger.closing_ticks, self.gaps, self.law)
+
+    def advance(
+        self,
+        force_n: tuple[float, float],
+        friction: gel.Friction,
+        weight_n: float,
+        speed_m_s: float | None = None,
+    ) -> Slice:
+        """Solve a slice of the gel under a force on the object along gravity, or for an object that moves at a speed.
+
+        force_n: normal force at start and end of the slice.
+        """
+        callbacks = [each for view in self.views if (each := view.begin()) is not None]
+        each = _all(callbacks) if len(callbacks) > 1 else callbacks[0] if callbacks else None
+        twist = None if speed_m_s is None else self._along_gravity(speed_m_s)
+        second_shares = None if self.second is None else self.second.shares
+        body_n = self._along_gravity(weight_n)
+        return self._slices.advance(self.shares, force_n, body_n, friction, twist, each, second_shares=second_shares)
+
+    def remember(self) -> None:
+        """Keep the present state, to which `rewind` returns."""
+        for state, before in zip(self._states, self._before, strict=True):
+            before.restore(state)
+
+    def rewind(self) -> None:
+        """Return to the state at the last `remember`."""
+        for state, before in zip(self._states, self._before, strict=True):
+            state.restore(before)
+
+    def close(self, finger: gripper.DriveState) -> None:
+        """Let the gel follow a finger that closes to its initial position; then it rests on the free object as long.
+
+        If the gel was squeezed at once it would creep for some 15 slices. The camera, which starts with dots at rest,
+        would see them jump in the first two slices.
+        """
+        slow = replace(self._solver, theta=1.0)  # no oscillation while the finger closes
+        stepper = Stepper(slow, CLOSING_S / CLOSING_STEPS, *self._states[1:])
+        end_ticks, end_m, end_n = finger.closing_ticks, finger.indentation_m, finger.force_n
+        friction, before_n = friction_of(self._sampled), 0.0
+        for step in range(2 * CLOSING_STEPS):
+            finger.closing_ticks = end_ticks * min((step + 1) / CLOSING_STEPS, 1.0)
+            finger.indentation_m, finger.force_n = (
+                contact.lookup(table, self.curve.step_ticks, finger.closing_ticks)
+                for table in (self.curve.indentation_m, self.curve.force_n)
+            )
+            self.press(finger)
+            second_shares = None if self.second is None else self.second.shares
+            force_n, nothing = (before_n, finger.force_n), (0.0, 0.0, 0.0)
+            twist = nothing if step < CLOSING_STEPS else None
+            stepper.advance(self.first, self.shares, force_n, nothing, friction, twist, second_shares=second_shares)
+            before_n = finger.force_n
+        finger.closing_ticks, finger.indentation_m, finger.force_n = end_ticks, end_m, end_n
+
+    @property
+    def carried_kg(self) -> float:
+        """Return the mass of the object, with a weight that fell on it."""
+        return float(self.first.inertia[0])
+
+    def catch(self, weight_kg: float, speed_m_s: float) -> None:
+        """Let a weight land on the object inelastically, at a speed along gravity; it stays there."""
+        carried_kg = self.carried_kg + weight_kg
+        speed = self.first.twist[self.down]
+        self.first.twist[self.down] = speed + weight_kg / carried_kg * (speed_m_s - speed)
+        self.first.inertia[:2] = carried_kg
+        self.slip_limit_n = self._limit_n(carried_kg)
+
+    def nodes_of_slip(self, grip: float) -> float:
+        """Return half the wavelength of unstable slip at the highest pressure, in nodes; infinity if slip is stable.
+
+        grip: normal force over the slip limit. A recording contains the wavelength for nodes that slipped
+        (truth/slip_half_wavelength_nodes).
+        """
+        force_n = grip * self.slip_limit_n
+        most_n = force_n * float(self._gripping(force_n, self.curve.indentation_m).max())
+        return gel.slip_half_wavelength_nodes(self.first, friction_of(self._sampled), most_n)
+
+    def _limit_n(self, mass_kg: float) -> float:
+        """Return the normal force at which an object of this mass slides or, if it hangs off-centre, turns.
+
+        The forces and moments that friction can resist together form an ellipse (Howe and Cutkosky, Int. J. Robotics
+        Research 15, 1996). The contact area is that under the force without the moment, which is smaller, and at least
+        one node: a square resists a moment of 0.38 of its side. If friction varies over the gel, or differs on the
+        second finger, the friction within this contact counts.
+        """
+        limit_n = mass_kg * GRAVITY_M_S2 / (2 * self._sampled.static_friction)
+        if self.friction_factor is not None or self.second is not None:
+            limit_n /= self._mean_friction(limit_n)
+        if self._sampled.lever_m == 0.0:
+            return limit_n
+        nodes = self.first.node_xy_m
+        arm_m = contact.turning_arm(nodes, self._gripping(limit_n, self.curve.indentation_m))
+        arm_m = max(arm_m, 0.38 * math.sqrt(contact.cell_area(nodes)))
+        return limit_n * math.hypot(1.0, self._sampled.lever_m / arm_m)
+
+    def _mean_friction(self, force_n: float) -> float:
+        """Return the mean friction of both pads relative to the trial's, weighted by each node's holding force."""
+        pads = [(self.friction_factor, self.curve.indentation_m)]
+        if self.second is not None and self.curve.second_indentation_m is not None:
+            pads.append((self.second.friction_factor, self.curve.second_indentation_m))
+        means = []
+        for factor, table_m in pads:
+            shares = self._gripping(force_n, table_m)
+            means.append(1.0 if factor is None else float((shares * factor).sum()) or 1.0)
+        return float(np.mean(means)) or 1.0
+
+    def _gripping(self, force_n: float, table_m: Floats) -> Floats:
+        """Return each node's share of the friction limit of a contact under a force, for uniform friction of the gel.
+
+        table_m: the pad's indentation over the closing.
+        """
+        indentation_m = float(np.interp(force_n, self.curve.force_n, table_m))
+        shares = contact.pressure(indentation_m, self.gaps, 1.0)
+        return shares if self.law is None else shares * self.law.factor(indentation_m, self.gaps, shares)
+
+    def _along_gravity(self, value: float) -> Three:
+        """Return a force or a velocity (x, y, rotation) that points down."""
+        return (0.0, value, 0.0) if self.down else (value, 0.0, 0.0)
+
+
+def _all(callbacks: list[Callable[..., None]]) -> Callable[..., None]:
+    """Return a function that calls others, one after the other."""
+
+    def call(*arguments: Any) -> None:
+        for each in callbacks:
+            each(*arguments)
+
+    return call
