@@ -1,11 +1,21 @@
 """Write the tables of docs/evidence/paper.md from the rows of rows.py."""
 
+import string
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from evetac_cli.jobs import Row
 from scripts.paper.rows import DIRECTION, INSIDE, MISSED, NOT_APPLICABLE, NOT_YET, counts, filled, read
 
+# The topics of the paper, by the number of their first row.
+TOPICS = {
+    19: "Tracking of dots",
+    29: "Vibration",
+    36: "Data rate",
+    41: "Shear force",
+    69: "Slip detection",
+    91: "Grasps",
+}
 AsTable = Callable[[list[str], Iterable[list[str]]], str]
 
 
@@ -26,44 +36,52 @@ def as_answer(results: Path, as_table: AsTable) -> str:
     )
 
 
+def as_topics(results: Path, as_table: AsTable) -> str:
+    """Return the number of figures by verdict for each topic of the paper."""
+    figures = [entry for entry in filled(read(), results)["rows"] if entry["kind"] == "figure"]
+    lines = []
+    for first, topic in TOPICS.items():
+        of_topic = counts([entry for entry in figures if max(one for one in TOPICS if one <= _row(entry)) == first])
+        found = [str(of_topic.get(name, 0)) for name in (INSIDE, DIRECTION, MISSED)]
+        lines.append([topic, str(sum(of_topic.values())), *found])
+    return as_table(["of the paper", "figures", INSIDE, DIRECTION, MISSED], lines) + "\n"
+
+
 def as_missed(results: Path, as_table: AsTable) -> str:
-    """Return the table of what is not reproduced, with reasons, and of what was not tried."""
-    content = filled(read(), results)
-    missed = [entry for entry in content["rows"] if entry["computed"]["verdict"] == MISSED]
-    lines = [[_number(entry), entry["what"], _paper(entry), _ours(entry), entry["why"]] for entry in missed]
-    parts = ["Simulated, except the paper's figures:", as_table(["row", "what", "paper", "evetac", "reason"], lines)]
-    tried = [entry for entry in content["rows"] if entry["kind"] == NOT_APPLICABLE]
-    parts += [
-        "Not applicable, or not tried:",
-        "\n".join(f"- {one['number']}, {one['what']}: {one['why']}." for one in tried),
-    ]
-    return "\n\n".join(parts) + "\n"
+    """Return the reasons why figures are not reproduced, each with its rows, and what was not tried."""
+    rows = filled(read(), results)["rows"]
+    reasons: dict[str, list[str]] = {}
+    for entry in rows:
+        if entry["computed"]["verdict"] in (MISSED, NOT_APPLICABLE):
+            reasons.setdefault(entry["why"], []).append(entry["number"])
+    return "\n".join(f"- **{', '.join(numbers)}**: {why}." for why, numbers in reasons.items()) + "\n"
 
 
-def as_rows(results: Path, as_table: AsTable) -> str:
-    """Return the tables of all figures and all methods."""
-    entries = filled(read(), results)["rows"]
+def as_figures(results: Path, as_table: AsTable) -> str:
+    """Return the table of all figures."""
     figures = [
         [
-            _number(one),
-            one["what"],
-            _paper(one),
-            _ours(one),
-            one["computed"].get("mark") or "",
+            _number(one), one["what"], _paper(one), _ours(one), one["computed"].get("mark") or "",
             one["computed"]["verdict"],
         ]
-        for one in entries
+        for one in filled(read(), results)["rows"]
         if one["kind"] == "figure"
-    ]
+    ]  # fmt: skip
+    return as_table(["row", "what", "paper", "evetac, simulated", "mark", "verdict"], figures) + "\n"
+
+
+def as_methods(results: Path, as_table: AsTable) -> str:
+    """Return the table of all methods."""
     methods = [
-        [_number(one), one["what"], f"`{one['module']}`", f"`{one['test'].partition('::')[2]}`", _method(one)]
-        for one in entries
+        [_number(one), one["what"], f"`{one['module']}`", _method(one)]
+        for one in filled(read(), results)["rows"]
         if one["kind"] == "method"
     ]
-    heads = ["row", "what", "paper", "evetac, simulated", "mark", "verdict"]
-    parts = ["### Figures", as_table(heads, figures), "### Methods"]
-    parts += [as_table(["row", "the paper's method", "module", "test", "verdict"], methods)]
-    return "\n\n".join(parts) + "\n"
+    return as_table(["row", "the paper's method", "module", "verdict"], methods) + "\n"
+
+
+def _row(entry: Row) -> int:
+    return int(entry["number"].rstrip(string.ascii_lowercase))
 
 
 def _method(entry: Row) -> str:
@@ -88,12 +106,13 @@ def _ours(entry: Row) -> str:
     if "ours" not in found:
         return NOT_YET
     ends = found.get("interval")
-    origin = f", {entry['table']}" if "table" in entry else ""
-    return f"{found['ours']:.3g}" + (f" ({ends[0]:.3g} to {ends[1]:.3g})" if ends else "") + origin
+    return f"{found['ours']:.3g}" + (f" ({ends[0]:.3g} to {ends[1]:.3g})" if ends else "")
 
 
 AS_PAGES = {
     "paper-answer": as_answer,
+    "paper-topics": as_topics,
     "paper-not-reproduced": as_missed,
-    "paper-rows": as_rows,
+    "paper-figures": as_figures,
+    "paper-methods": as_methods,
 }

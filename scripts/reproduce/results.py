@@ -45,7 +45,7 @@ PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted((DOCS / "eviden
 
 MEASURED = "measured"  # folder of the tables of run times, and the word of their marks
 FREEZE = "freeze"  # the sentences on the frozen commit, which are no table
-LIKENESS = ("likeness-counted", "likeness-others")  # tables of public facts, made by studies/likeness/tables.py
+LIKENESS = ("likeness-counted", "likeness-off", "likeness-others")  # of public facts, by studies/likeness/tables.py
 # Tables made by separate scripts, each from its own rows in docs/results/likeness or scripts/paper/rows.json.
 OF_SCRIPTS = {
     "likeness-sensitivity": likeness_sensitivity.as_page,
