@@ -125,13 +125,15 @@ def changes(result: Result) -> list[str]:
 
 
 def ranges(values: Iterable[int]) -> str:
-    """Return numbers as ranges, such as `1-3, 8`."""
+    """Return numbers as ranges, such as `1-3, 8`, or the ends if there are more than six."""
     parts: list[list[int]] = []
     for value in sorted(set(values)):
         if parts and value == parts[-1][-1] + 1:
             parts[-1].append(value)
         else:
             parts.append([value])
+    if len(parts) > 6:
+        return f"from {parts[0][0]} to {parts[-1][-1]}"
     return ", ".join(f"{part[0]}-{part[-1]}" if len(part) > 1 else str(part[0]) for part in parts)
 
 
