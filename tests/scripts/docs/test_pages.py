@@ -97,7 +97,7 @@ def test_controllers_of_the_page_are_all_there_are() -> None:
 
 def test_every_part_has_a_section_and_keys(every: dict[str, str]) -> None:
     """Assert that parts of scenes and sensors have sections, whose keys are those of the schemas."""
-    assert {part.name for part in PARTS} - headings(every["parts.md"]) == set()
+    assert {part.NAME for part in PARTS} - headings(every["parts.md"]) == set()
     assert "| `leak_hz` | sensor | leak events per second of every pixel | 0 to 10 |" in every["parts.md"]
     assert "| `drop.mass_g` |" in every["scene-keys.md"]
     assert "| `creep.share` |" in every["sensors.md"]
