@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from typer.testing import CliRunner
 
+from evetac_cli.cli.config import with_config
 from evetac_cli.cli.main import app
+from evetac_cli.commands.columns import columns_of, find
 from evetac_cli.events import Events, slice_starts
 from evetac_cli.inspect import validate
 from evetac_cli.jobs import Outcome
@@ -24,7 +26,17 @@ def run_stage(
     """Run the one job of a stage; return the path of its output and its report."""
     (job,) = stage.jobs(files, chosen, out)
     outcome: Outcome = stage.run(job, chosen, **options)
+    commands = {f"evetac_cli.{command.module}": name for name, command in with_config().items()}
+    if stage.__name__ in commands:
+        assert_explained(commands[stage.__name__], outcome.rows)
     return job.output, outcome
+
+
+def assert_explained(command: str, rows: list[dict[str, Any]]) -> None:
+    """Assert that `--legend` of a command explains every column of its rows."""
+    columns = columns_of(command)
+    without = sorted({name for row in rows for name in row if find(columns, name) is None})
+    assert not without, (command, without)
 
 
 def run_valid(stage: Any, files: list[Path], chosen: Any, out: Path | None = None) -> tuple[Path, Outcome]:
@@ -49,7 +61,9 @@ def answer_of(*words: object) -> Any:
     result = evetac(*words, "--json")
     assert result.exit_code == 0, (words, result.output[-2000:], result.stderr[-2000:])
     assert result.exception is None
-    return json.loads(result.stdout)
+    answer = json.loads(result.stdout)
+    assert_explained(answer["command"], answer["rows"])
+    return answer
 
 
 def event_arrays(

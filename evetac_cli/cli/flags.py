@@ -17,6 +17,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from evetac_cli import console
 from evetac_cli.commands.parameter import RUNNING, Command, flag_of
 from evetac_cli.errors import InputError
 
@@ -40,9 +41,10 @@ OF_STAGES: dict[str, tuple[Any, Any, str, str]] = {
         Path | None,
         None,
         "--config",
-        "TOML file with parameters, one table per command; --no-FLAG unsets one.",
+        "TOML file of parameters; --no-FLAG unsets one.",
     ),
     "as_json": (bool, False, "--json", "Print one JSON object instead of a table."),
+    "legend": (bool, False, "--legend", "Only print what the columns mean."),
     "quiet": (bool, False, "-q/--quiet", "Print no progress and no messages."),
     "verbose": (bool, False, "-v/--verbose", "Print whole tables, and tracebacks of errors."),
 }
@@ -65,7 +67,9 @@ OF_EXPORT = _of_others("Output file or folder; default: next to the recording.",
 OF_SHARE = _of_others(
     "Output folder; default: NAME-hub next to the input.", "Replace an existing folder made by share."
 )
-OF_LOOKING = {name: OF_STAGES[name] for name in ("as_json", "quiet", "verbose")}  # of commands that write no files
+OF_LOOKING = {
+    name: OF_STAGES[name] for name in ("as_json", "legend", "quiet", "verbose")
+}  # of commands that write no files
 OF_DOCTOR = OF_LOOKING | {
     "out": (
         Path | None,
@@ -94,6 +98,7 @@ class Running:
     engine: str = LOCAL
     config: Path | None = None
     as_json: bool = False
+    legend: bool = False  # printed before a command begins
     quiet: bool = False
     verbose: bool = False
 
@@ -160,11 +165,15 @@ class Group(PlainFlags, TyperGroup):
 
 
 class CommandOfFlags(PlainFlags, TyperCommand):
-    """A command that refuses a repeated flag, and whose help omits the `--no-` form of switches."""
+    """A command that refuses a repeated flag, explains its columns, and whose help omits the `--no-` of switches."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Read the flags. A repeated flag is an error; otherwise all but its last value would be lost silently."""
-        _, _, order = self.make_parser(ctx).parse_args(list(args))
+        values, _, order = self.make_parser(ctx).parse_args(list(args))
+        if values.get("legend") and not ctx.resilient_parsing:
+            title = f"evaluate {self.name}" if ctx.parent and ctx.parent.info_name == "evaluate" else str(self.name)
+            print_legend(title, as_json=bool(values.get("as_json")))
+            ctx.exit()
         times = Counter(flag.opts[-1] for flag in order if not getattr(flag, "is_flag", True) and not flag.multiple)
         twice = next((name for name, count in times.items() if count > 1), None)
         if twice is not None and not ctx.resilient_parsing:
@@ -182,6 +191,17 @@ class CommandOfFlags(PlainFlags, TyperCommand):
         finally:
             for flag, names in switches:
                 flag.secondary_opts = names
+
+
+def print_legend(title: str, *, as_json: bool) -> None:
+    """Print what the columns of a command mean, such as `label` or `evaluate slip`."""
+    from evetac_cli.commands.columns import columns_of  # loaded only for this
+
+    columns = columns_of(title).values()
+    rows = [{"column": one.name, "unit": one.unit or None, "meaning": one.meaning} for one in columns]
+    if not as_json:
+        rows = [{"column": one.name, "meaning": one.in_words} for one in columns]
+    console.show(f"{title} --legend", rows, {}, simulated=False, as_json=as_json)
 
 
 def signature(command: Command, running: dict[str, tuple[Any, Any, str, str]]) -> inspect.Signature:

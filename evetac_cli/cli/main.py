@@ -27,6 +27,7 @@ from evetac_cli.names import __version__
 OF_FOLDERS = ("repair",)  # inspectors that take folders themselves, not the files in them
 DOCTOR_PARTS = {"print_udev": "", "compile": ".compile_kernels", "speed": ".speed", "hardware": ".hardware_check"}
 AsJson = Annotated[bool, flags.looking("as_json")]
+Legend = Annotated[bool, flags.looking("legend")]
 Quiet = Annotated[bool, flags.looking("quiet")]
 Verbose = Annotated[bool, flags.looking("verbose")]
 
@@ -136,6 +137,7 @@ def _inspector(name: str, help_: str, files_help: str, unit: str = "files") -> C
     def call(
         files: Annotated[list[Path], typer.Argument(help=files_help, show_default=False)],
         as_json: AsJson = False,
+        legend: Legend = False,
         quiet: Quiet = False,
         verbose: Verbose = False,
     ) -> None:
@@ -164,6 +166,7 @@ def _info(
         ),
     ] = None,
     as_json: AsJson = False,
+    legend: Legend = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:

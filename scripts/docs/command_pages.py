@@ -11,6 +11,7 @@ import typer
 from evetac_cli import commands
 from evetac_cli.cli.config import with_config
 from evetac_cli.cli.main import app
+from evetac_cli.commands.columns import columns_of
 from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.evaluate.subjects import SUBJECTS
 from scripts.docs.page_text import bounds, code, fenced, prose, sentence, table
@@ -96,6 +97,9 @@ def _page(name: str, command: Any) -> str:
         panels.setdefault(panel, []).append(_option(param, known.get(param.name)))
     for panel, rows in panels.items():
         parts += [f"## {panel}\n", table(("option", "what it does", "values", "default"), rows)]
+    if columns := columns_of(name):
+        cells = [(code(one.name), one.unit, prose(one.meaning)) for one in columns.values()]
+        parts += ["## Columns\n", table(("column", "unit", "meaning"), cells)]
     if name in with_config():
         parts.append(_in_a_file(name))
     return "\n".join(parts)

@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.commands.columns import columns_of
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError, made_by
 from evetac_cli.evaluate.common import picture
@@ -69,15 +70,7 @@ SHARES = (  # of a group of trials, with how many they are
 )
 OF_GROUPS = ("sensor", "object", "file", "setting", *SHARES)  # of --by
 OF_SETTINGS = ("setting", "seeds", *SHARES, "paper_slip_correct", "paper_f1")
-SHORT = {
-    "counted": "n",
-    "slip_early": "early",
-    "slip_correct": "correct",
-    "slip_late": "late",
-    "false_alarms_per_min": "false/min",
-    "t_m_minus_t_c_ms": "late_by_ms",
-    "paper_slip_correct": "paper_correct",
-}
+SHORT = {one.name: one.short for one in columns_of("evaluate slip").values() if one.short}
 
 
 def jobs(files: list[Path], params: EvaluateSlip, out: Path | None) -> list[ModelsReportJob]:

@@ -3,15 +3,15 @@
 import html
 import shlex
 from base64 import b64encode
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
+from evetac_cli.commands.columns import Column, columns_of, find
 from evetac_cli.evaluate.subject import Subject, SubjectTable
 from evetac_cli.evaluate.subjects import PAPER, SUBJECTS
+from evetac_cli.jobs import Row
 from evetac_cli.pages import shared
-from evetac_cli.pages.report import evaluations, figures
-from evetac_cli.pages.report.evaluations import columns_of
+from evetac_cli.pages.report import figures
 from evetac_cli.pages.report.figures import StudyFigure
 from evetac_cli.pages.report.study import Found, Study, StudyTrial
 from evetac_cli.pages.report.trial_table import onset_charts, trial_table, trials_of_both
@@ -20,6 +20,7 @@ from evetac_cli.resources import PACKAGE
 
 MOST_PATHS = 20  # in a command
 MOST_ROWS = 300  # of each table except the trials
+Entries = list[tuple[Study, Found, int, Row]]
 STAGES = (("tracks", "track"), ("labels", "label"), ("features", "featurize"))  # in processing order
 
 
@@ -96,6 +97,8 @@ def _section(subject: Subject, studies: Sequence[Study]) -> str:
     """Return plots and tables of the reports of a subject; empty if there are none."""
     of_reports = [(study, one) for study in studies for one in study.reports(f"evaluate {subject.name}")]
     several = len(studies) > 1
+    legend = columns_of(f"evaluate {subject.name}")
+    shown_columns: dict[str, Column] = {}
     text = _charts(
         (f"{study.name}: {evaluation.path}" if several else evaluation.path, _image(evaluation.plot))
         for study, evaluation in of_reports
@@ -104,27 +107,57 @@ def _section(subject: Subject, studies: Sequence[Study]) -> str:
     for shown in subject.tables:
         # A table without columns shows all columns of a report, which differ between reports.
         for some in [of_reports] if shown.columns else [[one] for one in of_reports]:
-            text += _table(shown, some, several)
-    return f"<p class='hint'>{html.escape(subject.about)}</p>{text}" if text else ""
+            if entries := _entries(shown, some):
+                columns = {name: find(legend, name) or Column(name, "") for name in _with_values(shown, entries)}
+                text += _table(shown, some, entries, columns, several)
+                shown_columns |= {column.name: column for column in columns.values()}
+    return f"<p class='hint'>{html.escape(subject.about)}</p>{text}{_legend(shown_columns.values())}" if text else ""
 
 
-def _table(shown: SubjectTable, of_reports: Sequence[tuple[Study, Found]], several: bool) -> str:
-    """Return a table of a subject; empty if no report has such rows."""
-    entries = [
-        (study, evaluation, row)
-        for study, evaluation in of_reports
-        for row in enumerate(shown.rows(evaluation.rows, evaluation.summary), start=1)
+def _legend(columns: Iterable[Column]) -> str:
+    """Return the meaning of columns, folded; empty without any."""
+    rows = [
+        f"<dt>{html.escape(column.heading or column.name)}</dt><dd>{html.escape(column.in_words)}</dd>"
+        for column in columns
     ]
-    if not entries:
-        return ""
-    columns = columns_of(shown, [row for *_, (_, row) in entries])
+    heads = "<summary>What the columns mean</summary>"
+    return f"<details class='legend'>{heads}<dl>{''.join(rows)}</dl></details>" if rows else ""
+
+
+def _entries(shown: SubjectTable, of_reports: Sequence[tuple[Study, Found]]) -> Entries:
+    """Return the rows of a table, with their numbers, and where they come from."""
+    return [
+        (study, evaluation, number, row)
+        for study, evaluation in of_reports
+        for number, row in enumerate(shown.rows(evaluation.rows, evaluation.summary), start=1)
+    ]
+
+
+def _with_values(shown: SubjectTable, entries: Entries) -> list[str]:
+    """Return the names of the columns that have a value in any row; the paper's figure is next to evetac's."""
+    rows = [row for *_, row in entries]
+    every = dict.fromkeys(key for row in rows for key in row)
+    names = shown.columns or [
+        name for name in every if not (name.startswith("paper_") and name.removeprefix("paper_") in every)
+    ]
+    return [name for name in names if any(row.get(name) is not None for row in rows)]
+
+
+def _table(
+    shown: SubjectTable,
+    of_reports: Sequence[tuple[Study, Found]],
+    entries: Entries,
+    columns: Mapping[str, Column],
+    several: bool,
+) -> str:
+    """Return a table of a subject."""
     with_report, numbered = len(of_reports) > 1, shown.numbered
     heads = ["study"] * several + ["report"] * with_report + ["row"] * numbered
-    heads += [html.escape(column.heading) for column in columns]
+    heads += [html.escape(column.heading or name.replace("_", " ")) for name, column in columns.items()]
     rows = []
-    for study, evaluation, (number, row) in entries[:MOST_ROWS]:
+    for study, evaluation, number, row in entries[:MOST_ROWS]:
         cells = [cell(study.name)] * several + [cell(evaluation.path)] * with_report + [cell(number)] * numbered
-        cells += [_with_paper(column, row, evaluation) for column in columns]
+        cells += [_with_paper(name, row, evaluation) for name in columns]
         bad = " class='bad'" if row.get("ok") is False else ""
         rows.append(f"<tr{bad}>{''.join(cells)}</tr>")
     simulated = all(evaluation.simulated for _, evaluation in of_reports)
@@ -134,11 +167,12 @@ def _table(shown: SubjectTable, of_reports: Sequence[tuple[Study, Found]], sever
     return f"<h3>{shared.short(title)}{badge}{more}</h3>" + table(heads, rows)
 
 
-def _with_paper(column: evaluations.ReportColumn, row: dict[str, Any], evaluation: Found) -> str:
+def _with_paper(name: str, row: Row, evaluation: Found) -> str:
     """Return a cell with evetac's figure, and the paper's with its mark."""
-    beside = PAPER.beside(column.paper, row, evaluation.source) if column.paper else None
+    of_paper = f"paper_{name}"
+    beside = PAPER.beside(of_paper, row, evaluation.source) if of_paper in PAPER.columns else None
     words = f" <small class='paper'>({figure_text(beside.value)}, {beside.mark})</small>" if beside else ""
-    return cell(row.get(column.key), words)
+    return cell(row.get(name), words)
 
 
 def _missing(studies: Sequence[Study]) -> str:

@@ -24,7 +24,7 @@ from evetac_cli.evaluate.data_rate.paper import COLUMNS
 from evetac_cli.evaluate.subjects import PAPER, SUBJECTS
 from evetac_cli.evaluate.tracking import SUBJECT as tracking_subject
 from evetac_cli.evaluate.tracking import measure as tracking
-from evetac_cli.pages.report import evaluations, page
+from evetac_cli.pages.report import page
 from evetac_cli.pages.report.study import Found
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.layout.ancestry import without_training_files
@@ -65,10 +65,7 @@ def in_table(evaluated: dict[str, Any]) -> str:
 def in_report(evaluated: dict[str, Any]) -> str:
     """The same in the page of a folder."""
     report = Found("a.report.h5", "evaluate tracking", evaluated, [ROW], {})
-    (shown,) = tracking_subject.tables
-    columns = evaluations.columns_of(shown, shown.rows(report.rows, report.summary))
-    (column,) = (column for column in columns if column.paper == "paper_consistent_share")
-    (beside,) = re.findall(r"\((.*)\)", page._with_paper(column, ROW, report))
+    (beside,) = re.findall(r"\((.*)\)", page._with_paper("consistent_share", ROW, report))
     return beside
 
 
