@@ -30,7 +30,7 @@ from evetac_cli.inspect import doctor
 from evetac_cli.kernels.grip.control import PluginLaw
 from evetac_cli.kernels.grip.load_law import MARGIN
 from evetac_cli.resources import PACKAGE
-from evetac_cli.stages import train
+from evetac_cli.stages.train.networks import Networks
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import time_host_versions
 from evetac_cli.trials.grasp import settings
@@ -547,9 +547,9 @@ def test_a_network_whose_forms_differ(
         assert not list(tmp_path.glob("*.h5"))
 
     refused()
-    require = train._require_same_forms
+    require = Networks.require_same_forms
     monkeypatch.setattr(
-        train, "_require_same_forms", lambda network, weights, *more: weights and require(network, weights, *more)
+        Networks, "require_same_forms", lambda self, weights, path: weights and require(self, weights, path)
     )
     refused()
     assert train_with("fine")[0] in (0, None)

@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli import plugins
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError, made_by
@@ -33,12 +32,10 @@ from evetac_cli.kernels.slip.architectures import (
     Architecture,
     DotArchitecture,
     PluginLayers,
-    joined,
     last_layer,
     parted,
     with_scaled_logit,
 )
-from evetac_cli.kernels.slip.metrics import LAST_CHECKPOINTS, Prediction
 from evetac_cli.resources import model_file
 from evetac_cli.sim.setup.plan import numbers
 from evetac_cli.stages import one_file
@@ -52,27 +49,18 @@ from evetac_cli.stages.model_files import (
 )
 from evetac_cli.stages.related_files import check_disjoint, check_same, make_folds, named_files, object_name
 from evetac_cli.stages.train import validating
-from evetac_cli.stages.train.plan import (
-    group_parameters,
-    series_bytes,
-    write_course,
-)
+from evetac_cli.stages.train.plan import group_parameters, series_bytes, write_course
 from evetac_cli.store.files import StageFile, header_of, up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.layout.rules import named_architecture
 from evetac_cli.store.recordings.onset import PERSON, abstains
 
 if TYPE_CHECKING:  # torch takes more than a second to import, numba half of it
-    from evetac_cli.kernels.slip.inputs import Trajectory
-    from evetac_cli.kernels.slip.training import SlipTraining
+    from evetac_cli.stages.train.networks import TrainedFolds
 
 OUTPUT = "model"
 METHOD = 9
 VALIDATE_EVERY = 8
-COMPARED = 64  # inputs of a file on which the two forms of a plug-in's network are compared
-# Probability. evetac's nine networks on dots differ by at most 6e-7 after training, and by 4e-6 with random weights of
-# standard deviation 0.3, over inputs of three simulated slips.
-FORMS_AGREE = 1e-4
 FEWEST_VALIDATED_ON = 4  # trajectories; with fewer, a far too low threshold may score as well as a good one
 
 
@@ -139,11 +127,17 @@ def parts(job: TrainJob, params: Train) -> list[NetworkJob]:
     """Return the networks of a model, which can be trained at the same time; none for a single network."""
     settings, _ = _settings(params)
     count = settings.networks * (params.folds + 1)
-    numbers = range(count if count > 1 else 0)
-    places = [job.output.with_name(f"{job.output.name}.network{number + 1}") for number in numbers]
     return [
-        NetworkJob(job.inputs, places[number], job.learned, job.seed, job.withheld, number, job.output)
-        for number in numbers
+        NetworkJob(
+            job.inputs,
+            job.output.with_name(f"{job.output.name}.network{number + 1}"),
+            job.learned,
+            job.seed,
+            job.withheld,
+            number,
+            job.output,
+        )
+        for number in range(count if count > 1 else 0)
     ]
 
 
@@ -238,38 +232,63 @@ def _to_adapt(path: Path) -> tuple[Settings, TrainedModel]:
         return settings, TrainedModel(path, file.header, (rows, columns), weights)
 
 
+class InputFacts(NamedTuple):
+    """What a training needs to know of a features file before it reads the features."""
+
+    header: Header
+    dot_shape: tuple[int, int]
+    memory_bytes: int  # for the features that the architecture needs
+    knows_truth: bool  # whether it has the true slipping share
+    slips: bool  # whether the object slips, as far as is known
+    abstains: bool
+
+
+def _inspect(paths: Sequence[Path], architecture: Architecture, progress: Progress) -> list[InputFacts]:
+    inputs = []
+    for number, path in enumerate(paths):
+        progress(number, len(paths), "files inspected")
+        with StageFile(path, "features") as file:
+            rows, columns = file.read("dot_shape").tolist()
+            slips = not file.has("onset_slice") or int(file.read("onset_slice")) >= 0
+            memory_bytes, knows_truth = series_bytes(file, architecture), file.has(TRUE_SLIP_SHARE)
+            inputs.append(InputFacts(file.header, (rows, columns), memory_bytes, knows_truth, slips, abstains(file)))
+    return inputs
+
+
+def _recipe(job: TrainJob, params: Train, inputs: Sequence[InputFacts]) -> Recipe:
+    """Return the recipe.
+
+    InputError if files to train on and to validate on have a recording in common, or if the true slipping share is to
+    be learned and no file has it.
+    """
+    settings, adapted = _settings(params)
+    adapted_from = [] if adapted is None else [adapted.header]
+    headers = [each.header for each in inputs]
+    learned_from = [*headers[: job.learned], *adapted_from]
+    check_disjoint(learned_from, headers[job.learned :], "validated on", job.inputs[job.learned :])
+    if params.learn_true_slip_share and not any(each.knows_truth for each in inputs[: job.learned]):
+        hint = "evetac featurize --true-slip-share copies it from simulated recordings"
+        raise InputError("no features file has the true slipping share", where="--learn-true-slip-share", hint=hint)
+    parameters = {**recipe_of(params), **settings._asdict(), "seed": job.seed, "trained_on": job.learned}
+    if params.false_alarms_per_min is not None:
+        parameters["false_alarms_per_min"] = params.false_alarms_per_min
+    parameters |= group_parameters([each.memory_bytes for each in inputs[: job.learned]])
+    architecture = named_architecture(settings.model)
+    if isinstance(architecture, PluginLayers):
+        parameters["model_method"] = architecture.method
+    return Recipe(OUTPUT, METHOD, parameters, seed=job.seed, parents=(*headers, *adapted_from))
+
+
 def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Train a model, choose checkpoint and threshold, and store weights and ONNX graphs."""
     settings, adapted = _settings(params)
     architecture = named_architecture(settings.model)
-    headers, shapes, memory_bytes, know_truth, slip, unsure = [], [], [], [], [], []
-    for number, path in enumerate(job.inputs):
-        progress(number, len(job.inputs), "files inspected")
-        with StageFile(path, "features") as file:
-            headers.append(file.header)
-            rows, columns = file.read("dot_shape").tolist()
-            shapes.append((rows, columns))
-            memory_bytes.append(series_bytes(file, architecture))
-            know_truth.append(file.has(TRUE_SLIP_SHARE))
-            slip.append(not file.has("onset_slice") or int(file.read("onset_slice")) >= 0)
-            unsure.append(abstains(file))
-    learn, seed = job.learned, job.seed
-    learned_from = [*headers[:learn], *([adapted.header] if adapted is not None else [])]
-    check_disjoint(learned_from, headers[learn:], "validated on", job.inputs[learn:])
-    if params.learn_true_slip_share and not any(know_truth[:learn]):
-        hint = "evetac featurize --true-slip-share copies it from simulated recordings"
-        raise InputError("no features file has the true slipping share", where="--learn-true-slip-share", hint=hint)
-    labels = _label_method(job.inputs[:learn], headers[:learn], slip[:learn])
-    folds = make_folds(headers, learn, params.folds)
-    parameters = {**recipe_of(params), **settings._asdict(), "seed": seed, "trained_on": learn}
-    if params.false_alarms_per_min is not None:
-        parameters["false_alarms_per_min"] = params.false_alarms_per_min
-    parameters |= group_parameters(memory_bytes[:learn])
-    if isinstance(architecture, PluginLayers):
-        parameters["model_method"] = architecture.method
-    parents = (*headers, adapted.header) if adapted is not None else tuple(headers)
-    recipe = Recipe(OUTPUT, METHOD, parameters, seed=seed, parents=parents)
-    simulated = any(header["simulated"] for header in parents)
+    inputs = _inspect(job.inputs, architecture, progress)
+    recipe = _recipe(job, params, inputs)
+    labels = _label_method(job.inputs[: job.learned], inputs)
+    headers = [each.header for each in inputs]
+    folds = make_folds(headers, job.learned, params.folds)
+    simulated = recipe.simulated
     output = job.model if isinstance(job, NetworkJob) else job.output
     if up_to_date(output, recipe, force=force):
         if isinstance(job, NetworkJob):
@@ -277,88 +296,25 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         return outcome(job, made=False, simulated=simulated, warning=_warning(output))
 
     progress(0, 0, "loading torch")
-    import torch
+    from evetac_cli.stages.train.networks import Networks, prepare_torch
 
-    from evetac_cli.kernels.slip import onnx_graphs
-    from evetac_cli.kernels.slip.detector import Detector
-    from evetac_cli.stages.slip_detectors import predict, read_trajectory
-    from evetac_cli.stages.train.networks import Networks
-
-    if params.device == "cuda" and not torch.cuda.is_available():
-        raise InputError("torch finds no GPU", where="--device", expected="cpu", found=params.device)
-    torch.set_num_threads(1)  # the networks are too small for several threads, and results depend on their number
-    check_same("dot grids", [grid.in_words(*each) for each in shapes], job.inputs)
-    shape = shapes[0]
-    if adapted is not None and adapted.dot_shape != shape:
-        found, expected = grid.in_words(*adapted.dot_shape), grid.in_words(*shape)
-        raise InputError("the model is for another dot grid", where=str(adapted.path), expected=expected, found=found)
-    if isinstance(architecture, DotArchitecture) and (shape[0] < LEAST_ROWS or shape[1] < LEAST_COLUMNS):
-        expected, hint = (
-            f"at least {LEAST_ROWS} rows and {LEAST_COLUMNS} columns",
-            "--model no-hist-img-6x6 uses events",
-        )
-        where, found = str(job.inputs[0]), grid.in_words(*shape)
-        raise InputError("this network needs a grid of dots", where=where, expected=expected, found=found, hint=hint)
+    prepare_torch(params.device)
+    shape = _shape_of_all(job.inputs, inputs, architecture, adapted)
     start = None if adapted is None else adapted.weights
-    if isinstance(architecture, PluginLayers):  # before hours of training, and again on the result
-        _require_same_forms(architecture, None, shape, read_trajectory(job.inputs[0], architecture), job.inputs[0])
-    networks = Networks(output, job.inputs, memory_bytes, folds, recipe, shape, start)
-    predictions: list[list[Prediction]] = []
-    resumed: int | None = None
+    networks = Networks(output, job.inputs, [each.memory_bytes for each in inputs], folds, recipe, shape, start)
+    networks.require_same_forms(None, job.inputs[0])  # before hours of training, and again on the result
     try:
         if isinstance(job, NetworkJob):
             networks.train(job.number, progress)
             return Outcome([], simulated)
-        for number, fold in enumerate(folds):
-            results: list[SlipTraining] = []
-            for member in range(settings.networks):
-                result, resumed_at = networks.train(number * settings.networks + member, progress)
-                results.append(result)
-                resumed = resumed_at if resumed is None else resumed
-            steps = [checkpoint.step for checkpoint in result.checkpoints[-LAST_CHECKPOINTS:]]
-            last = [
-                joined([each.checkpoints[back - len(steps)].weights for each in results]) for back in range(len(steps))
-            ]
-            graphs = [onnx_graphs.build(architecture, weights, *shape) for weights in last]
-            detectors = [Detector(graph, architecture) for graph in graphs]
-            predictions = predictions or [[] for _ in detectors]
-            for done, index in enumerate(fold.evaluated_on):
-                progress(done, len(fold.evaluated_on), "files evaluated")
-                trajectory = read_trajectory(job.inputs[index], architecture)
-                _require_same_forms(architecture, last[-1], shape, trajectory, job.inputs[index])
-                judged = predict(detectors, trajectory, headers[index], settings.horizon_ms)
-                for of_detector, prediction in zip(predictions, judged, strict=True):
-                    of_detector.append(prediction)
-        validated = validating.Validated.of(predictions, networks.preset, params.false_alarms_per_min)
-        choice = validated.choice
-        layer = last_layer(architecture, *shape)
-        last = [
-            weights if each is None else with_scaled_logit(weights, layer, *each)
-            for weights, each in zip(last, validated.calibrations, strict=True)
-        ]
-        graphs = [onnx_graphs.build(architecture, weights, *shape) for weights in last]
+        trained = networks.train_folds(headers, progress)
+        validated = validating.Validated.of(trained.predictions, networks.preset, params.false_alarms_per_min)
+        arrays = _arrays(architecture, shape, trained, validated)
     except ValueError as error:
         where = f"{job.inputs[0]} and {len(job.inputs) - 1} more"
         raise InputError(f"cannot be trained: {error}", where=where) from error
-    arrays: dict[str, Any] = {
-        **{f"weights/{name}": value for name, value in last[choice.checkpoint].items()},
-        "onnx": np.frombuffer(graphs[choice.checkpoint], np.uint8),
-        "architecture": architecture.name,
-        "history": np.int64(architecture.history),
-        "horizon_ms": np.int64(settings.horizon_ms),
-        "dot_shape": np.array(shape, np.int32),
-        "threshold": np.float64(choice.threshold),
-        "validation/detected_share": np.float64(choice.detected_share),
-        "validation/slip_share": np.float64(choice.slip_share),
-        "curve/step": result.curve_step,
-        "curve/loss": np.mean([each.curve_loss for each in results], axis=0),
-        "checkpoint/step": np.array(steps, np.int64),
-        "checkpoint/score": choice.scores,
-        "checkpoint/threshold": choice.thresholds,
-        "checkpoint/chosen": np.int64(choice.checkpoint),
-        "checkpoint/onnx": np.stack([np.frombuffer(graph, np.uint8) for graph in graphs]),
-        **validated.arrays("objects left out in turn" if params.folds else "named or held back"),
-    }
+    arrays["horizon_ms"] = np.int64(settings.horizon_ms)
+    arrays |= validated.arrays("objects left out in turn" if params.folds else "named or held back")
     made = write_stage(job.output, recipe, arrays, force=force) is not None
     write_course(job.output)
     networks.remove_states()
@@ -368,57 +324,67 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         simulated=simulated,
         model=settings.model,
         preset=settings.preset,
-        seed=seed,
+        seed=job.seed,
         horizon_ms=settings.horizon_ms,
         labels=labels,
         learned_true_slip_share=_learned_truth(params, adapted) or None,
-        trajectories=learn,
-        abstained=sum(unsure),
+        trajectories=job.learned,
+        abstained=sum(each.abstains for each in inputs),
         validated_on=sum(len(fold.evaluated_on) for fold in folds),
         folds=params.folds,
         networks=settings.networks,
-        steps=result.steps,
-        steps_of_all_epochs=result.steps_planned,
-        stopped_early=result.cut,
-        resumed_at_step=resumed,
-        loss=float(arrays["curve/loss"][-1]),
-        threshold=choice.threshold,
+        **trained.figures(),
         **validated.figures(),
-        validation_score=choice.score,
-        detected_share=choice.detected_share,
         warning=_warning(job.output),
     )
 
 
-def _require_same_forms(
-    architecture: Architecture,
-    weights: dict[str, NDArray[np.float32]] | None,
-    shape: tuple[int, int],
-    trajectory: "Trajectory",
-    path: Path,
-) -> None:
-    """Raise InputError if a plug-in's network computes another probability in torch than as an ONNX graph.
+def _shape_of_all(
+    paths: Sequence[Path], inputs: Sequence[InputFacts], architecture: Architecture, adapted: TrainedModel | None
+) -> tuple[int, int]:
+    """Return rows and columns of the dots; InputError if they differ, or do not fit the network or model to adapt."""
+    check_same("dot grids", [grid.in_words(*each.dot_shape) for each in inputs], paths)
+    shape = inputs[0].dot_shape
+    found = grid.in_words(*shape)
+    if adapted is not None and adapted.dot_shape != shape:
+        of_model = grid.in_words(*adapted.dot_shape)
+        raise InputError("the model is for another dot grid", where=str(adapted.path), expected=found, found=of_model)
+    if isinstance(architecture, DotArchitecture) and (shape[0] < LEAST_ROWS or shape[1] < LEAST_COLUMNS):
+        expected = f"at least {LEAST_ROWS} rows and {LEAST_COLUMNS} columns"
+        message, hint = "this network needs a grid of dots", "--model no-hist-img-6x6 uses events"
+        raise InputError(message, where=str(paths[0]), expected=expected, found=found, hint=hint)
+    return shape
 
-    weights: of all networks of the detector; None for new ones. trajectory: the inputs of a file, of which some are
-    compared; path: that file.
-    """
-    import torch
 
-    from evetac_cli.kernels.slip import inputs, networks
+def _arrays(
+    architecture: Architecture, shape: tuple[int, int], trained: "TrainedFolds", validated: validating.Validated
+) -> dict[str, Any]:
+    """Return the datasets of the model, calibrated, but for those on its validation alone."""
+    from evetac_cli.kernels.slip import onnx_graphs
 
-    plugin = plugins.by_name(plugins.NETWORKS, architecture.name)
-    slices = inputs.length(trajectory.series)
-    if plugin is None or slices < architecture.history:
-        return
-    ends = np.unique(np.linspace(architecture.history - 1, slices - 1, COMPARED).astype(np.int64))
-    batch = inputs.at(architecture, trajectory.series, ends)
-    with torch.random.fork_rng(devices=[]):  # new weights are drawn, and a training may draw later
-        drawn = networks.weights(networks.build(architecture, *shape)) if weights is None else weights
-    for each in parted(drawn):
-        difference = networks.difference_of_forms(architecture, each, *shape, batch)
-        if not difference <= FORMS_AGREE:
-            found = f"for inputs from {path}, torch and ONNX return probabilities up to {difference:.3g} apart"
-            raise plugin.error(f"{found}: its `hidden` and `add_layers` are not the same network")
+    choice, layer = validated.choice, last_layer(architecture, *shape)
+    calibrated = [
+        weights if each is None else with_scaled_logit(weights, layer, *each)
+        for weights, each in zip(trained.weights, validated.calibrations, strict=True)
+    ]
+    graphs = [np.frombuffer(onnx_graphs.build(architecture, weights, *shape), np.uint8) for weights in calibrated]
+    return {
+        **{f"weights/{name}": value for name, value in calibrated[choice.checkpoint].items()},
+        "onnx": graphs[choice.checkpoint],
+        "architecture": architecture.name,
+        "history": np.int64(architecture.history),
+        "dot_shape": np.array(shape, np.int32),
+        "threshold": np.float64(choice.threshold),
+        "validation/detected_share": np.float64(choice.detected_share),
+        "validation/slip_share": np.float64(choice.slip_share),
+        "curve/step": trained.networks[-1].curve_step,
+        "curve/loss": trained.loss,
+        "checkpoint/step": np.array(trained.steps, np.int64),
+        "checkpoint/score": choice.scores,
+        "checkpoint/threshold": choice.thresholds,
+        "checkpoint/chosen": np.int64(choice.checkpoint),
+        "checkpoint/onnx": np.stack(graphs),
+    }
 
 
 def _learned_truth(params: Train, adapted: TrainedModel | None) -> bool:
@@ -432,16 +398,16 @@ def _warning(model: Path) -> str | None:
         return why_useless(file) or None
 
 
-def _label_method(paths: tuple[Path, ...], headers: list[Header], slip: list[bool]) -> str:
+def _label_method(learn: Sequence[Path], inputs: Sequence[InputFacts]) -> str:
     """Return the methods that labelled the training files, also `truth`; InputError if the methods differ.
 
     Files without slip may be labelled by another method, since no onset depends on it. Manual labels may be combined
     with those of any method, which they correct, but not with copies of the truth.
     """
     methods: dict[str, Path] = {}
-    for path, header, slips in zip(paths, headers, slip, strict=True):
-        for ancestor in header["history"].values():
-            if slips and ancestor["kind"] == "labels":
+    for path, facts in zip(learn, inputs, strict=False):
+        for ancestor in facts.header["history"].values():
+            if facts.slips and ancestor["kind"] == "labels":
                 methods.setdefault(str(ancestor["parameters"].get("method", "farneback")), path)
     if len(methods) > 1 and (len(methods.keys() - {PERSON}) > 1 or "truth" in methods):
         (first, path), (other, elsewhere) = list(methods.items())[:2]

@@ -8,27 +8,78 @@ import time
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli import plugins
+from evetac_cli.errors import InputError
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.slip import sampling
+from evetac_cli.kernels.slip.architectures import Architecture, joined, parted
 from evetac_cli.kernels.slip.inputs import Trajectory
+from evetac_cli.kernels.slip.metrics import LAST_CHECKPOINTS, Prediction
 from evetac_cli.kernels.slip.sampling import PoolSizes, SampleGroups, Size, SlipSamples, drawn_groups
 from evetac_cli.stages.related_files import Fold
-from evetac_cli.stages.slip_detectors import read_pool_sizes, read_trajectory
+from evetac_cli.stages.slip_detectors import predict, read_pool_sizes, read_trajectory
 from evetac_cli.stages.train import plan
 from evetac_cli.store.hdf5.disk import taking_the_place_of
-from evetac_cli.store.layout.provenance import Recipe
+from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.layout.rules import named_architecture
 
 if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import Preset, SlipTraining, TrainingState
 
+Weights = dict[str, NDArray[np.float32]]
+COMPARED = 64  # inputs of a file on which the two forms of a plug-in's network are compared
+# Probability. evetac's nine networks on dots differ by at most 6e-7 after training, and by 4e-6 with random weights of
+# standard deviation 0.3, over inputs of three simulated slips.
+FORMS_AGREE = 1e-4
 SAVE_S = 30.0  # interval of saving: the most work lost when a run is interrupted
+
+
+class TrainedFolds(NamedTuple):
+    """Networks that were trained, and their predictions for the trajectories that their folds leave out.
+
+    networks: those of the last fold, which make up the detector. steps, weights: of its last checkpoints, with all
+    networks joined. predictions: of these checkpoints, for the trajectories of all folds. resumed_at: the step of the
+    saved state from which the first network with one continued.
+    """
+
+    networks: list["SlipTraining"]
+    steps: list[int]
+    weights: list[Weights]
+    predictions: list[list[Prediction]]
+    resumed_at: int | None
+
+    @property
+    def loss(self) -> NDArray[np.float64]:
+        """The loss of the networks in the course of the training, their mean."""
+        loss: NDArray[np.float64] = np.mean([each.curve_loss for each in self.networks], axis=0)
+        return loss
+
+    def figures(self) -> dict[str, Any]:
+        """Return the figures to print."""
+        last = self.networks[-1]
+        return {
+            "steps": last.steps,
+            "steps_of_all_epochs": last.steps_planned,
+            "stopped_early": last.cut,
+            "resumed_at_step": self.resumed_at,
+            "loss": float(self.loss[-1]),
+        }
+
+
+def prepare_torch(device: str) -> None:
+    """Let torch use one thread; InputError if a GPU is wanted and there is none."""
+    import torch
+
+    if device == "cuda" and not torch.cuda.is_available():
+        raise InputError("torch finds no GPU", where="--device", expected="cpu", found=device)
+    torch.set_num_threads(1)  # the networks are too small for several threads, and results depend on their number
 
 
 @dataclass(eq=False)
@@ -41,7 +92,7 @@ class Networks:
     folds: Sequence[Fold]
     recipe: Recipe  # with all settings of the training
     shape: tuple[int, int]  # rows and columns of dots
-    start: Sequence[dict[str, NDArray[np.float32]]] | None  # initial weights of each network of a fold
+    start: Sequence[Weights] | None  # initial weights of each network of a fold
     _gathered: dict[int, SampleGroups] = field(default_factory=dict, init=False)  # of the last requested fold
 
     @property
@@ -57,6 +108,68 @@ class Networks:
         parameters = self.recipe.parameters
         preset = training.PRESETS[parameters["preset"]] if self.start is None else training.ADAPT
         return training.with_true_slip_share(preset) if parameters["learn_true_slip_share"] else preset
+
+    @property
+    def architecture(self) -> Architecture:
+        """The architecture of all networks."""
+        return named_architecture(self.recipe.parameters["model"])
+
+    def train_folds(self, headers: Sequence[Header], progress: Progress) -> TrainedFolds:
+        """Train all networks; let those of each fold predict what the fold leaves out. headers: of all inputs."""
+        folds = [self._train_fold(number, headers, progress) for number in range(len(self.folds))]
+        predictions = [list(chain(*each)) for each in zip(*(fold.predictions for fold in folds), strict=True)]
+        resumed_at = next((fold.resumed_at for fold in folds if fold.resumed_at is not None), None)
+        return folds[-1]._replace(predictions=predictions, resumed_at=resumed_at)
+
+    def _train_fold(self, fold: int, headers: Sequence[Header], progress: Progress) -> TrainedFolds:
+        from evetac_cli.kernels.slip import onnx_graphs
+        from evetac_cli.kernels.slip.detector import Detector
+
+        count = int(self.recipe.parameters["networks"])
+        trained = [self.train(fold * count + member, progress) for member in range(count)]
+        networks = [network for network, _ in trained]
+        steps = [checkpoint.step for checkpoint in networks[-1].checkpoints[-LAST_CHECKPOINTS:]]
+        weights = [joined([each.checkpoints[back].weights for each in networks]) for back in range(-len(steps), 0)]
+        graphs = [onnx_graphs.build(self.architecture, each, *self.shape) for each in weights]
+        detectors = [Detector(graph, self.architecture) for graph in graphs]
+        left_out, horizon_ms = self.folds[fold].evaluated_on, self.recipe.parameters["horizon_ms"]
+        predictions: list[list[Prediction]] = [[] for _ in detectors]
+        for done, index in enumerate(left_out):
+            progress(done, len(left_out), "files evaluated")
+            self.require_same_forms(weights[-1], self.inputs[index])
+            trajectory = read_trajectory(self.inputs[index], self.architecture)
+            judged = predict(detectors, trajectory, headers[index], horizon_ms)
+            for of_detector, prediction in zip(predictions, judged, strict=True):
+                of_detector.append(prediction)
+        resumed_at = next((step for _, step in trained if step is not None), None)
+        return TrainedFolds(networks, steps, weights, predictions, resumed_at)
+
+    def require_same_forms(self, weights: Weights | None, path: Path) -> None:
+        """Raise InputError if a plug-in's network computes another probability in torch than as an ONNX graph.
+
+        weights: of all networks of the detector; None for new ones. path: a file whose inputs are used to compare.
+        """
+        architecture = self.architecture
+        plugin = plugins.by_name(plugins.NETWORKS, architecture.name)
+        if plugin is None:
+            return
+        import torch
+
+        from evetac_cli.kernels.slip import inputs, networks
+
+        series = read_trajectory(path, architecture).series
+        slices = inputs.length(series)
+        if slices < architecture.history:
+            return
+        ends = np.unique(np.linspace(architecture.history - 1, slices - 1, COMPARED).astype(np.int64))
+        batch = inputs.at(architecture, series, ends)
+        with torch.random.fork_rng(devices=[]):  # new weights are drawn, and a training may draw later
+            drawn = networks.weights(networks.build(architecture, *self.shape)) if weights is None else weights
+        for each in parted(drawn):
+            difference = networks.difference_of_forms(architecture, each, *self.shape, batch)
+            if not difference <= FORMS_AGREE:
+                found = f"for inputs from {path}, torch and ONNX return probabilities up to {difference:.3g} apart"
+                raise plugin.error(f"{found}: its `hidden` and `add_layers` are not the same network")
 
     def train(self, number: int, progress: Progress) -> tuple["SlipTraining", int | None]:
         """Train a network, or continue from its saved state; return the result and the step of that state.
@@ -125,13 +238,11 @@ class Networks:
         return SampleGroups(steps, lambda group: self._samples(groups[group], progress))
 
     def _pool_sizes(self, number: int) -> PoolSizes:
-        parameters = self.recipe.parameters
-        return read_pool_sizes(self.inputs[number], named_architecture(parameters["model"]), parameters["horizon_ms"])
+        return read_pool_sizes(self.inputs[number], self.architecture, self.recipe.parameters["horizon_ms"])
 
     def _samples(self, numbers: Sequence[int], progress: Progress) -> SlipSamples:
         """Return the samples of these inputs."""
-        parameters = self.recipe.parameters
-        architecture = named_architecture(parameters["model"])
+        parameters, architecture = self.recipe.parameters, self.architecture
 
         def trajectories() -> Iterator[Trajectory]:
             for done, number in enumerate(numbers):

@@ -93,10 +93,13 @@ class Validated:
         """Return the figures to print."""
         false, warned = self.curve.at(self.choice.threshold)
         return {
+            "threshold": self.choice.threshold,
             "calibrated": self.calibrations[self.choice.checkpoint] is not None,
             "false_alarms_per_min": false if self.curve.minutes else None,
             "minutes_without_slip": self.curve.minutes,
             "warned_10_ms_ahead": warned,
+            "validation_score": self.choice.score,
+            "detected_share": self.choice.detected_share,
         }
 
 
