@@ -5,7 +5,6 @@ and nothing but this test keeps the two together.
 """
 
 import dataclasses
-import inspect
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -28,7 +27,8 @@ from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.evaluate.subjects import SUBJECTS
 from evetac_cli.formats.read.column_times import UNITS, ColumnTimes
-from evetac_cli.formats.write.lerobot import event_stacks, write_lerobot
+from evetac_cli.formats.write.lerobot import event_stacks
+from evetac_cli.formats.write.lerobot.contents import Choices
 from evetac_cli.kernels.event_representation import Representation
 from evetac_cli.sim.setup.plan import HIGHEST_TONE_HZ
 from evetac_cli.sim.setup.solver import LIFT_PITCH_MM, Solver
@@ -52,7 +52,7 @@ def _shipped() -> str:
 
 
 def _of_lerobot(name: str) -> Any:
-    return inspect.signature(write_lerobot.write).parameters[name].default
+    return getattr(Choices(), name)
 
 
 def _time_unit(seconds: list[float]) -> str:

@@ -5,7 +5,7 @@ A format is recognized by the file's content, not by its name. The checks that a
 
 import math
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -28,9 +28,8 @@ from evetac_cli.formats.read.read_aedat4 import open_aedat4
 from evetac_cli.formats.read.read_hdf5 import open_hdf5
 from evetac_cli.formats.read.read_other_streams import Other, aedat4_streams, bag_streams
 from evetac_cli.formats.read.read_text import is_text_of_events, open_text
-from evetac_cli.formats.read.source import EventColumns, EventSource, FrameUnknown, checked_frame, clean
+from evetac_cli.formats.read.source import CleanEvents, EventSource, FrameUnknown, checked_frame
 from evetac_cli.formats.read.time_order import IN_ORDER, OrderOptions
-from evetac_cli.interrupts import leave_if_interrupted
 from evetac_cli.jobs import Progress, silent
 from evetac_cli.store.recordings.streams import Stream, free_name
 from evetac_cli.text_files import Steady
@@ -115,8 +114,37 @@ class Imported:
     events: Events = empty()  # none if they were read in blocks
 
 
+@dataclass(frozen=True)
+class ImportOptions:
+    """What a user may say about a file, or want of it.
+
+    - frame_px: (width, height); an error if it contradicts the file. If it is not given and the file does not state it
+      (text, HDF5), the frame of the smallest known sensor that contains all events is used, and a note says so.
+    - order: how to handle events that are out of order; by default such a file is refused.
+    - stream: the event stream of an AEDAT4 file, topic of a bag, camera of an HDF5 file or array of an npz to read if
+      there are several; by default the first by name.
+    - columns: names of four unnamed columns, for example "x y t p"; by default the first known order that fits.
+    - time_unit: s, ms, us or ns, if the file does not state it; by default us if all times are whole, otherwise s.
+    - frames: keep frames too, which may be many times larger than the events; IMU samples and triggers are always kept.
+    """
+
+    frame_px: tuple[int, int] | None = None
+    order: OrderOptions = IN_ORDER
+    stream: str | None = None
+    columns: str | None = None
+    time_unit: str | None = None
+    frames: bool = False
+
+    def of_readers(self) -> dict[str, str]:
+        """Return the options that are for readers and were given."""
+        return {name: getattr(self, name) for name in OPTIONS if getattr(self, name) is not None}
+
+
+DEFAULTS = ImportOptions()
+
+
 class EventFile:
-    """Another program's event file: its frame first, then its events in blocks, and after the last block its facts.
+    """Another program's event file: its frame first, then its events in blocks, then its facts.
 
     The number of slices is the last event's slice + 1, not the duration rounded up: an event at exactly 2 ms belongs to
     the third slice. A file without events is imported as an empty recording if its format shows that the file is
@@ -126,55 +154,33 @@ class EventFile:
     def __init__(
         self,
         path: str | Path,
-        *,
-        frame_px: tuple[int, int] | None = None,
-        order: OrderOptions = IN_ORDER,
-        stream: str | None = None,
-        columns: str | None = None,
-        time_unit: str | None = None,
-        frames: bool = False,
+        options: ImportOptions = DEFAULTS,
         folder: Path | None = None,
         progress: Progress = silent,
     ) -> None:
         """Recognize the file and determine its frame; raise InputError if it is not an event file.
 
-        - columns: names of four unnamed columns, for example "x y t p"; by default the first known order that fits.
-        - folder: where events that must be sorted are stored temporarily; by default the folder for temporary files.
-        - frame_px: (width, height); an error if it contradicts the file. If it is not given and the file does not state
-          it (text, HDF5), the frame of the smallest known sensor that contains all events is used, and a note says so.
-        - frames: keep frames too, which may be many times larger than the events; IMU samples and triggers are always
-          kept.
-        - order: how to handle events that are out of order; by default such a file is refused.
         - path: a file, or the folder of a ROS 2 bag.
+        - folder: where events that must be sorted are stored temporarily; by default the folder for temporary files.
         - progress: receives the number of events read; the total is unknown, because no format states it.
-        - stream: the event stream of an AEDAT4 file, topic of a bag, camera of an HDF5 file or array of an npz to read
-          if there are several; by default the first by name.
-        - time_unit: s, ms, us or ns, if the file does not state it; by default us if all times are whole, otherwise s.
         """
-        self._path, self._where = Path(path), str(path)
+        self._path, self._options, self._folder = Path(path), options, folder
         self._steady = Steady(self._path)
-        self._order = order
-        self._frames, self._folder, self._progress = frames, folder, progress
-        options = {"stream": stream, "columns": columns, "time_unit": time_unit}
-        user_options = {name: value for name, value in options.items() if value is not None}
-        self._stream = stream
         with _reading(self._path, self._steady):
             try:
-                self._source = _open(self._path, frame_px, user_options)
+                self._source = _open(self._path, options.frame_px, options.of_readers())
             except FrameUnknown as unknown:
-                self._source = _open_with_guessed_frame(self._path, user_options, unknown)
+                self._source = _open_with_guessed_frame(self._path, options.of_readers(), unknown)
         self.frame_px = self._source.frame_px
+        self._events = CleanEvents(self._source, options.order, str(path), folder, progress)
 
     def blocks(self) -> Iterator[Events]:
-        """Yield all events in time order; afterwards `facts` is set.
+        """Yield all events in time order.
 
         Raises InputError if the file cannot be used, possibly only after the last block: discard all blocks then. Of a
         damaged AEDAT4 file, the intact events are yielded.
         """
-        source = self._source
-        batches = source.batches
-        source.batches = _counted(batches, self._progress)
-        blocks = clean(source, self._order, self._where, self._folder)
+        blocks = self._events.blocks()
         try:
             while True:
                 with _reading(self._path, self._steady):
@@ -183,34 +189,35 @@ class EventFile:
                     break
                 yield block
         finally:
-            if isinstance(batches, Generator):  # after an error its file is still open
-                batches.close()
-        self.facts = self._facts(source)
-        self._steady.check()
+            if isinstance(self._source.batches, Generator):  # after an error its file is still open
+                self._source.batches.close()
 
-    def _facts(self, source: EventSource) -> Imported:
-        note, lacks_events = source.note, _lacks_events(source)
-        notes = [*source.notes, *_losses(source, lacks_events=lacks_events), *source.corrections]
-        notes += source.times.notes if source.times else []
-        slices = (source.last_us - source.first_us) // SLICE_US + 1 if source.size else 0
+    def finish(self) -> Imported:
+        """Return the facts about the file, after the last block."""
+        source, events, note = self._source, self._events, self._source.note
+        lacks_events = note is not None and note.events is not None and events.read < note.events
+        slices = (events.last_us - events.first_us) // SLICE_US + 1 if events.size else 0
         if note and not source.cut_short and not lacks_events:
             slices = max(slices, note.slices)  # not for a truncated file: its lost slices were not necessarily empty
-        t_offset_us = source.first_us + source.clock_us if source.size or note else 0
+        t_offset_us = events.first_us + source.clock_us if events.size or note else 0
+        notes = [*source.notes, *_losses(source, events, lacks_events=lacks_events), *events.corrections]
+        notes += source.times.notes if source.times else []
         with _reading(self._path, self._steady):
-            if self._order.from_restart is None:
-                options = {"frames": self._frames, "folder": self._folder, "topic": self._stream}
-                streams, stream_notes = _kept(self._path, source, t_offset_us, slices, options)
+            if self._options.order.from_restart is None:
+                others = {"frames": self._options.frames, "folder": self._folder, "topic": self._options.stream}
+                streams, stream_notes = _kept(self._path, source, t_offset_us, slices, others)
             else:  # their times do not show which part they belong to
                 streams, stream_notes = [], []
                 source.left_out |= {stream.name: len(stream.t_us) for stream in source.streams}
+        self._steady.check()
         return Imported(
-            size=source.size,
+            size=events.size,
             frame_px=source.frame_px,
             t_offset_us=t_offset_us,
             slices=slices,
             format=source.format,
-            counts=source.dropped,
-            sorted=source.sorted,
+            counts=events.dropped,
+            sorted=events.sorted,
             notes=[*notes, *stream_notes, *_import_notes(source, streams)],
             streams=streams,
             left_out=source.left_out,
@@ -219,10 +226,10 @@ class EventFile:
 
 
 def read_events(path: str | Path, **options: Any) -> Imported:
-    """Read another program's event file into memory, or raise InputError; options are those of EventFile."""
-    file = EventFile(path, **options)
+    """Read another program's event file into memory, or raise InputError; options are those of ImportOptions."""
+    file = EventFile(path, ImportOptions(**options))
     events = concatenate(list(file.blocks()))
-    return replace(file.facts, events=events)
+    return replace(file.finish(), events=events)
 
 
 @contextmanager
@@ -285,33 +292,17 @@ def left_out_text(left_out: dict[str, int]) -> str:
     return ", ".join([*kinds[:MOST_NAMED], *more])
 
 
-def _counted(batches: Iterable[EventColumns], progress: Progress) -> Iterator[EventColumns]:
-    """Yield the same batches and report the events read so far; stop here on Ctrl-C."""
-    count = 0
-    for batch in batches:
-        leave_if_interrupted()
-        yield batch
-        count += len(batch.t)
-        progress(count, 0, "events read")
-
-
-def _lacks_events(source: EventSource) -> bool:
-    """Whether a file that evetac exported has fewer events than were written into it."""
-    written = source.note.events if source.note else None
-    return written is not None and source.read < written
-
-
-def _losses(source: EventSource, *, lacks_events: bool) -> Iterator[str]:
+def _losses(source: EventSource, events: CleanEvents, *, lacks_events: bool) -> Iterator[str]:
     """Yield notes on losses that the reader did not report; dropped events only if they exceed LARGE_LOSS."""
     if source.note and not source.cut_short and lacks_events:
-        yield f"cut short: {source.size} events are left of the {source.note.events} that were exported"
-    outside, no_numbers = (source.dropped[reason] for reason in ("out_of_frame", "not_a_number"))
-    if outside > LARGE_LOSS * source.read:
-        frame, share = "{}x{}".format(*source.frame_px), f"{outside / source.read:.0%}"
+        yield f"cut short: {events.size} events are left of the {source.note.events} that were exported"
+    outside, no_numbers = (events.dropped[reason] for reason in ("out_of_frame", "not_a_number"))
+    if outside > LARGE_LOSS * events.read:
+        frame, share = "{}x{}".format(*source.frame_px), f"{outside / events.read:.0%}"
         yield f"{share} of the events are outside {frame} and were dropped; is this frame size right?"
-    if no_numbers > LARGE_LOSS * source.read:
-        yield f"{no_numbers / source.read:.0%} of the events were dropped: t, x, y or p is not a number"
-    if source.note is None and not source.size:
+    if no_numbers > LARGE_LOSS * events.read:
+        yield f"{no_numbers / events.read:.0%} of the events were dropped: t, x, y or p is not a number"
+    if source.note is None and not events.size:
         yield "the file has no events"
 
 

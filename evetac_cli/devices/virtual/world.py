@@ -28,7 +28,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -95,7 +95,7 @@ class VirtualWorld:
         self._process: BaseProcess | None = context.Process(
             target=telling,
             args=(
-                *(self._last_words, _run_world, plan, seeds, durations, waits),
+                *(self._last_words, _run_world, _Setup(plan, seeds, durations, waits)),
                 *(self.plant, orders, words, truth_pipe, self._counters),
             ),
             name="evetac-world",
@@ -213,11 +213,17 @@ class VirtualWorld:
         self.plant.close()
 
 
+class _Setup(NamedTuple):
+    """What a world is built from."""
+
+    plan: Plan
+    seeds: np.random.SeedSequence
+    durations: dict[str, float]
+    waits: bool
+
+
 def _run_world(
-    plan: Plan,
-    seeds: np.random.SeedSequence,
-    durations: dict[str, float],
-    waits: bool,
+    setup: _Setup,
     plant: SharedPlant,
     orders: Connection,
     words: Sequence[Connection],
@@ -226,7 +232,7 @@ def _run_world(
 ) -> None:
     """Run the world's process: build, report that, then obey orders until the other side has gone."""
     ignore_interrupts()  # Ctrl-C is for the recorder, which then ends this process
-    running_world, reply = _build(plan, seeds, durations, waits, plant, words, truths, counters)
+    running_world, reply = _build(setup, plant, words, truths, counters)
     try:
         orders.send(reply)
     except OSError:  # the recorder did not wait
@@ -262,10 +268,7 @@ class _RunningWorld:
 
     def __init__(
         self,
-        plan: Plan,
-        seeds: np.random.SeedSequence,
-        durations: dict[str, float],
-        waits: bool,
+        setup: _Setup,
         plant: SharedPlant,
         words: Sequence[Connection],
         truths: Connection | None,
@@ -274,6 +277,7 @@ class _RunningWorld:
         from evetac_cli.devices.dvxplorer.event_words import encode, timestamp
         from evetac_cli.devices.simulated import SimulatedGripper, rig
 
+        plan, seeds, durations, self._waits = setup
         first = rig(plan, np.random.SeedSequence(0), **durations)
         for _ in range(WARMING):  # loads or compiles everything before time is critical
             events = first.camera.read()
@@ -295,7 +299,6 @@ class _RunningWorld:
         self._gain_ma_tick = self._world.finger.drive.gain_ma_tick / PAPER_P_GAIN
         self._plant = plant
         self._time = plant.time
-        self._waits = waits
         self._words = list(words)
         for pipe in words:
             os.set_blocking(pipe.fileno(), False)

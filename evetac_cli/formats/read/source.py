@@ -1,7 +1,7 @@
-"""What a reader returns of a file, and the one function that checks the events of all formats.
+"""What a reader returns of a file, and the one class that checks the events of all formats.
 
 Formats differ in their number types (unsigned times, polarity -1/+1, floats). Readers therefore only return batches of
-raw columns; the checks that apply to all formats, and the conversion, are done by `clean`.
+raw columns; the checks that apply to all formats, and the conversion, are done by CleanEvents.
 """
 
 import math
@@ -19,6 +19,8 @@ from evetac_cli.events import SLICE_US, Events
 from evetac_cli.formats.note import CLOCK_LIMIT_US, LONGEST_SLICES, Note
 from evetac_cli.formats.read.column_times import FLAG, ColumnTimes
 from evetac_cli.formats.read.time_order import IN_ORDER, OrderOptions, Placed, TimeOrder
+from evetac_cli.interrupts import leave_if_interrupted
+from evetac_cli.jobs import Progress, silent
 from evetac_cli.store.hdf5.disk import joined_on_disk
 from evetac_cli.store.recordings.streams import Stream
 
@@ -48,7 +50,10 @@ class EventColumns(NamedTuple):
 
 @dataclass
 class EventSource:
-    """A file: raw batches in file order, facts that it states about itself, and what `clean` counts in the batches."""
+    """A file: raw batches in file order, and facts that it states about itself.
+
+    A reader may complete notes, left_out and streams until its last batch.
+    """
 
     format: str
     frame_px: tuple[int, int]
@@ -63,18 +68,6 @@ class EventSource:
     streams: list[Stream] = field(default_factory=list)  # read with the events, on their clock
     times: ColumnTimes | None = None  # for files whose times are a column of plain numbers
     guessed_order: str = ""  # of unnamed columns
-    # Set by `clean`, and complete after its last block.
-    size: int = 0
-    first_us: int = 0  # t = 0 on the file's clock; 0 without events
-    last_us: int = 0  # of the last event, in the file's clock; 0 without events
-    dropped: dict[str, int] = field(default_factory=lambda: {"not_a_number": 0, "out_of_frame": 0})
-    sorted: int = 0  # events that came after a later one and were sorted
-    corrections: list[str] = field(default_factory=list)  # notes on corrections of order and polarity
-
-    @property
-    def read(self) -> int:
-        """The number of events in the file, used or dropped."""
-        return self.size + sum(self.dropped.values())
 
 
 def at_index(start: int, row: int) -> str:
@@ -112,58 +105,145 @@ def choose_frame(
     return checked_frame(own or wanted, where, hint or "give it with --frame-size WIDTHxHEIGHT")
 
 
-def clean(
-    source: EventSource, order: OrderOptions = IN_ORDER, where: str = "", folder: Path | None = None
-) -> Iterator[Events]:
-    """Convert the batches of a file into one stream of events that starts at t = 0.
+class CleanEvents:
+    """The events of a file in one stream from t = 0, and after its last block the counts of what was found in the file.
 
     t = 0 is the first event, or the start that evetac's note in the file states. Events outside the frame and events
-    that are not numbers are dropped and counted; at the end the counts of `source` are filled. The events are valid
-    only then, because InputError may be raised as late as at the end. It is raised if
-    - columns differ in length, or a coordinate is not a whole number,
-    - polarities are neither of {0, 1} nor of {-1, 1},
-    - a time is beyond 2^53 us or before the start of the recording,
-    - time goes backwards and `order` does not cover the case (time_order),
-    - the unit of time was guessed and is implausible,
-    - the events span more than 6 h, none of them can be used, or the file unexpectedly has none.
-
-    With `order.sort`, no event is yielded before all are read; they are stored temporarily in `folder`.
+    that are not numbers are dropped and counted.
     """
-    in_order, polarities, lit = TimeOrder(order), set[int](), _LitPixels(source.frame_px)
-    start_us = source.note.start_us if source.note and not order.from_restart else None
 
-    def ordered() -> Iterator[Events]:
-        for part in in_order.ordered(_usable(source, polarities, where)):
-            source.first_us = min(source.first_us, int(part.t.min())) if source.size else int(part.t.min())
-            source.last_us = max(source.last_us, int(part.t.max())) if source.size else int(part.t.max())
-            source.size += part.size
-            if source.times is not None:
-                lit.add(part)
+    def __init__(
+        self,
+        source: EventSource,
+        order: OrderOptions = IN_ORDER,
+        where: str = "",
+        folder: Path | None = None,
+        progress: Progress = silent,
+    ) -> None:
+        """where: the file, for errors; folder: where events are stored temporarily that must be sorted."""
+        self._source, self._where, self._folder, self._progress = source, where, folder, progress
+        self._sort = order.sort
+        self._order, self._polarities, self._lit = TimeOrder(order), set[int](), _LitPixels(source.frame_px)
+        self._start_us = source.note.start_us if source.note and not order.from_restart else None
+        self.size = 0
+        self.first_us = 0  # t = 0 on the file's clock; 0 without events
+        self.last_us = 0  # of the last event, in the file's clock; 0 without events
+        self.dropped = {"not_a_number": 0, "out_of_frame": 0}
+        self.corrections: list[str] = []  # notes on corrections of order and polarity
+
+    @property
+    def read(self) -> int:
+        """The number of events in the file, used or dropped."""
+        return self.size + sum(self.dropped.values())
+
+    @property
+    def sorted(self) -> int:
+        """The number of events that came after a later one and were sorted."""
+        return self._order.small
+
+    def blocks(self) -> Iterator[Events]:
+        """Yield all events. They are valid only at the end, because InputError may be raised as late as then.
+
+        It is raised if
+        - columns differ in length, or a coordinate is not a whole number,
+        - polarities are neither of {0, 1} nor of {-1, 1},
+        - a time is beyond 2^53 us or before the start of the recording,
+        - time goes backwards and `order` does not cover the case (time_order),
+        - the unit of time was guessed and is implausible,
+        - the events span more than 6 h, none of them can be used, or the file unexpectedly has none.
+
+        With `order.sort`, no event is yielded before all are read.
+        """
+        source, where = self._source, self._where
+        stored = joined_on_disk(self._folder, self._ordered()) if self._sort else ()
+        for part in () if self._sort else self._ordered():
+            zero_us = self.first_us if self._start_us is None else self._start_us
+            if not self._order.refused and zero_us <= self.first_us and self.last_us - zero_us <= SPAN_LIMIT_US:
+                yield part._replace(t=part.t - zero_us)
+        _check_polarities(self._polarities, where)
+        self._check_use()
+        self._order.refuse(where)
+        self.dropped |= self._order.dropped
+        corrected = [f"polarity {value} was read as -1 (darker)" for value in sorted(self._polarities & {*MINUS_ONES})]
+        self.corrections = [*corrected, *self._order.notes]
+        if not self.size:
+            self.first_us = self.last_us = self._start_us or 0
+            return
+        if source.times is not None:
+            source.times.check(self.size, self.last_us - self.first_us, source.frame_px, self._lit.hz_us)
+        self.first_us = self._checked_start_us()
+        if stored:
+            by_time = np.argsort(stored[0], kind="stable")
+            for first in range(0, self.size, BLOCK_EVENTS):
+                part = Events(*(column[by_time[first : first + BLOCK_EVENTS]] for column in stored))
+                yield part._replace(t=part.t - self.first_us)
+
+    def _ordered(self) -> Iterator[Events]:
+        """Yield the usable events in time order, still on the file's clock."""
+        for part in self._order.ordered(self._usable()):
+            self.first_us = min(self.first_us, int(part.t.min())) if self.size else int(part.t.min())
+            self.last_us = max(self.last_us, int(part.t.max())) if self.size else int(part.t.max())
+            self.size += part.size
+            if self._source.times is not None:
+                self._lit.add(part)
             yield part
 
-    stored = joined_on_disk(folder, ordered()) if order.sort else ()
-    for part in () if order.sort else ordered():
-        zero_us = source.first_us if start_us is None else start_us
-        if not in_order.refused and zero_us <= source.first_us and source.last_us - zero_us <= SPAN_LIMIT_US:
-            yield part._replace(t=part.t - zero_us)
-    _check_polarities(polarities, where)
-    _check_use(source, in_order.total, where)
-    in_order.refuse(where)
-    source.dropped |= in_order.dropped
-    source.sorted = in_order.small
-    corrected = [f"polarity {value} was read as -1 (darker)" for value in sorted(polarities & set(MINUS_ONES))]
-    source.corrections = [*corrected, *in_order.notes]
-    if not source.size:
-        source.first_us = source.last_us = start_us or 0
-        return
-    if source.times is not None:
-        source.times.check(source.size, source.last_us - source.first_us, source.frame_px, lit.hz_us)
-    source.first_us = _start(source, start_us, where)
-    if stored:
-        by_time = np.argsort(stored[0], kind="stable")
-        for first in range(0, source.size, BLOCK_EVENTS):
-            part = Events(*(column[by_time[first : first + BLOCK_EVENTS]] for column in stored))
-            yield part._replace(t=part.t - source.first_us)
+    def _usable(self) -> Iterator[Placed]:
+        """Yield the usable events of each batch in evetac's types, and the function that locates them in the file.
+
+        Progress is reported here, and Ctrl-C ends reading here.
+        """
+        width, height = self._source.frame_px
+        types = (np.int64, np.uint16, np.uint16, np.uint8)
+        count = 0
+        for raw_batch in _gathered(self._source.batches, self._where):
+            batch = raw_batch
+            if faultless := _is_faultless(batch, self._source.frame_px):
+                _add_polarities(batch.p, self._polarities)
+            else:
+                finite = _finite(batch)
+                if lost := len(batch.t) - int(np.count_nonzero(finite)):
+                    self.dropped["not_a_number"] += lost
+                    batch = _at(batch, np.flatnonzero(finite))
+                _check_values(batch, self._where, self._source)
+                _add_polarities(batch.p, self._polarities)
+                inside = (batch.x >= 0) & (batch.x < width) & (batch.y >= 0) & (batch.y < height)
+                if outside := len(batch.t) - int(np.count_nonzero(inside)):
+                    self.dropped["out_of_frame"] += outside
+                    batch = _at(batch, np.flatnonzero(inside))
+            t = np.rint(batch.t) if batch.t.dtype.kind == "f" else batch.t
+            on = batch.p if faultless else (batch.p == 1).view(np.uint8)
+            columns = zip((t, batch.x, batch.y, on), types, strict=True)
+            yield Events(*(column.astype(type_, copy=False) for column, type_ in columns)), batch.place
+            leave_if_interrupted()
+            count += len(raw_batch.t)
+            self._progress(count, 0, "events read")
+
+    def _check_use(self) -> None:
+        """Raise InputError if the file has no events, or none that can be used."""
+        note, usable, lost = self._source.note, self._order.total, sum(self.dropped.values())
+        if not usable and not lost and not (self._source.may_be_empty or (note is not None and not note.events)):
+            raise no_events(self._where)
+        if lost and not usable:
+            outside, no_numbers = self.dropped["out_of_frame"], self.dropped["not_a_number"]
+            expected = "events inside the frame of {}x{} px".format(*self._source.frame_px)
+            found = f"{outside} events outside, {no_numbers} that are not numbers"
+            hint = "check the frame size and the order of the columns" if outside else ""
+            message = "none of the events can be used"
+            raise InputError(message, where=self._where, expected=expected, found=found, hint=hint)
+
+    def _checked_start_us(self) -> int:
+        """Return the time that becomes 0: the start of the recording, or the first event if no start is stated."""
+        first_us = self.first_us if self._start_us is None else self._start_us
+        if self.first_us < first_us:
+            message, found = "an event is before the start that evetac's note in the file states", f"{self.first_us} us"
+            raise InputError(message, where=self._where, expected=f"from {first_us} us", found=found)
+        span_us = self.last_us - first_us
+        if span_us > SPAN_LIMIT_US:
+            expected, found = f"at most {SPAN_LIMIT_US // 3_600_000_000} h", f"{span_us / 3.6e9:.1f} h"
+            message, hint = "the events span too much time", _unit_hint(self._source) or "is a time stamp wrong?"
+            raise InputError(message, where=self._where, expected=expected, found=found, hint=hint)
+        return first_us
 
 
 class _LitPixels:
@@ -201,19 +281,6 @@ def _check_polarities(polarities: set[int], where: str) -> None:
         raise InputError(message, where=where, expected="0 and 1, or -1 and 1", found=found)
 
 
-def _check_use(source: EventSource, usable: int, where: str) -> None:
-    """Raise InputError if the file has no events, or none that can be used."""
-    note, dropped = source.note, source.dropped
-    lost = sum(dropped.values())
-    if not usable and not lost and not (source.may_be_empty or (note is not None and not note.events)):
-        raise no_events(where)
-    if lost and not usable:
-        expected = "events inside the frame of {}x{} px".format(*source.frame_px)
-        found = f"{dropped['out_of_frame']} events outside, {dropped['not_a_number']} that are not numbers"
-        hint = "check the frame size and the order of the columns" if dropped["out_of_frame"] else ""
-        raise InputError("none of the events can be used", where=where, expected=expected, found=found, hint=hint)
-
-
 def _gathered(batches: Iterable[EventColumns], where: str) -> Iterator[EventColumns]:
     """Yield the same batches, small ones of the same types joined, so that the work per batch costs little."""
     waiting: list[EventColumns] = []
@@ -246,34 +313,6 @@ def _joined(parts: list[EventColumns]) -> EventColumns:
     starts = np.cumsum([0, *(len(part.t) for part in parts)]).tolist()
     t, x, y, p = (np.concatenate(column) for column in zip(*(part[:4] for part in parts), strict=True))
     return EventColumns(t, x, y, p, lambda row: parts[at := bisect_right(starts, row) - 1].place(row - starts[at]))
-
-
-def _usable(source: EventSource, polarities: set[int], where: str) -> Iterator[Placed]:
-    """Yield the usable events of each batch in evetac's types, and the function that locates them in the file.
-
-    The values of polarity that occur are added to `polarities`.
-    """
-    width, height = source.frame_px
-    types = (np.int64, np.uint16, np.uint16, np.uint8)
-    for raw_batch in _gathered(source.batches, where):
-        batch = raw_batch
-        if faultless := _is_faultless(batch, source.frame_px):
-            _add_polarities(batch.p, polarities)
-        else:
-            finite = _finite(batch)
-            if lost := len(batch.t) - int(np.count_nonzero(finite)):
-                source.dropped["not_a_number"] += lost
-                batch = _at(batch, np.flatnonzero(finite))
-            _check_values(batch, where, source)
-            _add_polarities(batch.p, polarities)
-            inside = (batch.x >= 0) & (batch.x < width) & (batch.y >= 0) & (batch.y < height)
-            if outside := len(batch.t) - int(np.count_nonzero(inside)):
-                source.dropped["out_of_frame"] += outside
-                batch = _at(batch, np.flatnonzero(inside))
-        t = np.rint(batch.t) if batch.t.dtype.kind == "f" else batch.t
-        on = batch.p if faultless else (batch.p == 1).view(np.uint8)
-        columns = zip((t, batch.x, batch.y, on), types, strict=True)
-        yield Events(*(column.astype(type_, copy=False) for column, type_ in columns)), batch.place
 
 
 def _is_faultless(batch: EventColumns, frame_px: tuple[int, int]) -> bool:
@@ -364,17 +403,3 @@ def _check_values(batch: EventColumns, where: str, source: EventSource) -> None:
 def _unit_hint(source: EventSource) -> str:
     """Return a hint for times that are too large, if a wrong unit may be the cause."""
     return f"is the unit of time right? {FLAG} sets another" if source.times is not None else ""
-
-
-def _start(source: EventSource, start_us: int | None, where: str) -> int:
-    """Return the time that becomes 0: the start of the recording, or the first event if no start is stated."""
-    first_us = source.first_us if start_us is None else start_us
-    if source.first_us < first_us:
-        message = "an event is before the start that evetac's note in the file states"
-        raise InputError(message, where=where, expected=f"from {first_us} us", found=f"{source.first_us} us")
-    span_us = source.last_us - first_us
-    if span_us > SPAN_LIMIT_US:
-        expected, found = f"at most {SPAN_LIMIT_US // 3_600_000_000} h", f"{span_us / 3.6e9:.1f} h"
-        hint = _unit_hint(source) or "is a time stamp wrong?"
-        raise InputError("the events span too much time", where=where, expected=expected, found=found, hint=hint)
-    return first_us

@@ -85,6 +85,13 @@ class SliceBatch:
     late_us: list[float] = field(default_factory=list)  # time from the end of a slice until its evaluation, if known
     counted: Mapping[str, int] | None = None  # losses of the camera so far, by reason; only now and then
 
+    def add(self, events: int, probability: float, at_us: float, late_us: float) -> None:
+        """Add what is known of a slice, but for its events."""
+        self.counts.append(events)
+        self.probability.append(probability)
+        self.at_us.append(at_us)
+        self.late_us.append(late_us)
+
     @property
     def size(self) -> int:
         """The number of bytes that the events take."""
@@ -175,7 +182,7 @@ def run_detector(
     ignore_interrupts()  # Ctrl-C is for the recorder, which then stops this process
     ending = remember_signals()
     outbox = MessageWriter(pipe)
-    camera = meter = None
+    camera = detection = None
     error: Exception | None = None
     try:
         detector = open_detector(settings)
@@ -191,9 +198,11 @@ def run_detector(
         gc.freeze()
         gc.disable()  # the loop creates no reference cycles
         outbox.flush(FLUSH_S)
-        meter = CoreMeter()
-        may_move, finger = (lambda: take_order(orders)), settings.finger
-        detect(camera, detector, status, outbox, settings.slices, ending, may_move, meter, finger)
+        detection = Detection(
+            *(camera, detector, status, outbox, settings.slices, settings.finger, ending),
+            may_move=lambda: take_order(orders),
+        )
+        detection.run()
     except PeerGone:  # the process that started this has gone
         return
     except EvetacError as failed:
@@ -205,75 +214,82 @@ def run_detector(
             with contextlib.suppress(DeviceError):  # the camera may have failed already
                 camera.close()
     counted = dict(camera.counted) if camera is not None else {}
-    outbox.put(DetectorEnded(counted, error, None if meter is None else meter.share), always=True)
+    outbox.put(DetectorEnded(counted, error, None if detection is None else detection.meter.share), always=True)
     with contextlib.suppress(PeerGone):
         outbox.flush(LAST_FLUSH_S)
     alive.close()
 
 
-def detect(
-    camera: EventCamera,
-    detector: SliceDetector | None,
-    status: SharedStatus,
-    outbox: MessageWriter,
-    most: int,
-    ending: Sequence[int] = (),
-    may_move: Callable[[], bool] = lambda: True,
-    meter: CoreMeter | None = None,
-    finger: int = 0,
-) -> None:
-    """Evaluate slices and pass them to the recorder, until there are `most`, or an order to stop.
+@dataclass(eq=False)
+class Detection:
+    """The loop of the detector's process: evaluates slices and passes them to the recorder.
 
-    Nothing is published before `may_move`, because the gripper moves as soon as there is a first status. Slices are
-    evaluated before that anyway. Otherwise waiting slices would have to be caught up with, while the gripper moves by
-    old ones. meter: counts slices. DeviceError if the stream ends too early, the recorder cannot keep up, or
-    a signal was received (`ending`).
+    most: slices after which it ends; ending: signals received by this process. may_move: whether the gripper may move.
     """
-    slip_us: deque[float] = deque(maxlen=REMEMBERED)
-    parent = os.getppid()
-    clock = camera.time
-    events_us = clock.now_s() * 1e6  # when the camera last sent an event
-    slips = slices = 0
-    moves = False
-    slices_held: list[Events] = []
-    batch = SliceBatch()
-    while slices < most and not status.stopping:
-        raise_if_ended("the detector", ending)
-        events = camera.read()
-        if events is None:
-            raise DeviceError("the camera's stream ended", expected=f"{most} slices", found=f"{slices}")
-        slices += 1
-        if detector is not None and (gripper_state := status.gripper) is not None:
-            detector.tell_gripper(*gripper_state)
-        probability = float("nan") if detector is None else detector.step(events)
-        signal = SlipSignal() if detector is None else detector.signal
-        now_us = clock.now_s() * 1e6
-        if events.size:
-            events_us = now_us
-        zero_us = camera.host_us(0.0)
-        if math.isnan(zero_us):
-            zero_us = now_us - slices * SLICE_US
-        if signal.slips > slips:
-            slips = signal.slips
-            slip_us.append(zero_us + (float(events.t[0]) if events.size else (slices - 1) * SLICE_US))
-        moves = moves or may_move()
-        if moves:
-            status.publish(DetectorStatus(signal, slices, now_us, events_us, zero_us, tuple(slip_us)), finger)
-        slices_held.append(events)
-        batch.counts.append(events.size)
-        batch.probability.append(probability)
-        batch.at_us.append(now_us)
-        batch.late_us.append(now_us - zero_us - slices * SLICE_US)
-        if len(slices_held) >= BATCH_MS:
-            if slices % COUNTED_SLICES < BATCH_MS:
-                batch.counted = dict(camera.counted)
-            if meter is not None:
-                meter.add(len(batch.counts))
-            _hand_over(outbox, batch, slices_held)
-            slices_held, batch = [], SliceBatch()
-            if os.getppid() != parent:
-                return
-    _hand_over(outbox, batch, slices_held)
+
+    camera: EventCamera
+    detector: SliceDetector | None
+    status: SharedStatus
+    outbox: MessageWriter
+    most: int
+    finger: int = 0
+    ending: Sequence[int] = ()
+    may_move: Callable[[], bool] = lambda: True
+    meter: CoreMeter = field(default_factory=CoreMeter, init=False)
+
+    def run(self) -> None:
+        """Evaluate slices until there are `most`, or an order to stop.
+
+        Nothing is published before `may_move`, because the gripper moves as soon as there is a first status. Slices are
+        evaluated before that anyway. Otherwise waiting slices would have to be caught up with, while the gripper moves
+        by old ones. DeviceError if the stream ends too early, the recorder cannot keep up, or a signal was received.
+        """
+        slip_us: deque[float] = deque(maxlen=REMEMBERED)
+        parent = os.getppid()
+        events_us = self.camera.time.now_s() * 1e6  # when the camera last sent an event
+        slips = slices = 0
+        moves = False
+        held: list[Events] = []
+        batch = SliceBatch()
+        while slices < self.most and not self.status.stopping:
+            raise_if_ended("the detector", self.ending)
+            events = self.camera.read()
+            if events is None:
+                raise DeviceError("the camera's stream ended", expected=f"{self.most} slices", found=f"{slices}")
+            slices += 1
+            probability, signal = self._evaluate(events)
+            now_us = self.camera.time.now_s() * 1e6
+            if events.size:
+                events_us = now_us
+            zero_us = self.camera.host_us(0.0)
+            if math.isnan(zero_us):
+                zero_us = now_us - slices * SLICE_US
+            if signal.slips > slips:
+                slips = signal.slips
+                slip_us.append(zero_us + (float(events.t[0]) if events.size else (slices - 1) * SLICE_US))
+            moves = moves or self.may_move()
+            if moves:
+                seen = DetectorStatus(signal, slices, now_us, events_us, zero_us, tuple(slip_us))
+                self.status.publish(seen, self.finger)
+            held.append(events)
+            batch.add(events.size, probability, now_us, now_us - zero_us - slices * SLICE_US)
+            if len(held) >= BATCH_MS:
+                if slices % COUNTED_SLICES < BATCH_MS:
+                    batch.counted = dict(self.camera.counted)
+                self.meter.add(len(batch.counts))
+                _hand_over(self.outbox, batch, held)
+                held, batch = [], SliceBatch()
+                if os.getppid() != parent:
+                    return
+        _hand_over(self.outbox, batch, held)
+
+    def _evaluate(self, events: Events) -> tuple[float, SlipSignal]:
+        """Return the probability of slip in a slice, and the signal; NaN and no slip without a detector."""
+        if self.detector is None:
+            return math.nan, SlipSignal()
+        if (gripper_state := self.status.gripper) is not None:
+            self.detector.tell_gripper(*gripper_state)
+        return self.detector.step(events), self.detector.signal
 
 
 def _hand_over(outbox: MessageWriter, batch: SliceBatch, slices: list[Events]) -> None:

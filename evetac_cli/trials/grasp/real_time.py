@@ -38,21 +38,23 @@ from evetac_cli.store.recordings.segments import RecordingWriter
 from evetac_cli.trials import live_view, session
 from evetac_cli.trials.grasp import replay
 from evetac_cli.trials.grasp.controller_process import ControllerSettings
-from evetac_cli.trials.grasp.detector_process import DetectorSettings
+from evetac_cli.trials.grasp.detector_process import CameraReady, DetectorSettings
 from evetac_cli.trials.grasp.grasp_processes import GraspProcesses
 from evetac_cli.trials.grasp.loop import Timing
 from evetac_cli.trials.grasp.recorded_grasp import RecordedGrasp, result_of
 from evetac_cli.trials.grasp.recorder import PRIORITY as WATCHING_PRIORITY
-from evetac_cli.trials.grasp.recorder import record
+from evetac_cli.trials.grasp.recorder import GraspRecorder
 from evetac_cli.trials.grasp.settings import DeviceGrasp, GraspSettings, ReplayGrasp
 from evetac_cli.trials.trial import ReplayTrial, device_trials
 
 if TYPE_CHECKING:
+    from evetac_cli.devices.virtual.gripper import VirtualGripper
     from evetac_cli.devices.virtual.world import VirtualWorld
     from evetac_cli.trials.listen.desk import Desk
 
 METHOD = 4  # method version of grasps in real time
 KINDS = ("lift",)  # kinds of scenes for grasps
+TOUCH_S = 1.5  # duration of the contact without a scene: that of the scene lift
 WATCHDOG_MS = 60  # default
 UNTIL_STOPPED = 2**62  # a number of slices that is never reached
 EVENTS_S = 500_000  # event rate that the disk must have room for
@@ -60,6 +62,7 @@ SLOWEST_HZ = 100.0  # slowest control rate at which hangs are still detected in 
 SERVO_PRIORITY = 40  # real hardware does not wait for a scheduler, so its virtual replacement should not either
 # Niceness of the writing thread: below the detector, or with virtual devices, which need as much CPU, below everything.
 WRITING_NICE, BESIDE_VIRTUAL = -5, 15
+NO_OFFSET = {"t_offset": np.int64(0)}
 LAST_TICK = 740  # closed; the law's own limit
 FALLS = "torque is switched off at the end, and at once if detector, camera or bus fail: a held object then falls"
 
@@ -68,9 +71,10 @@ def jobs(
     cameras: tuple[NamedCamera, ...], gripper: NamedGripper, params: Grasp, settings: GraspSettings, out: Path | None
 ) -> Sequence[DeviceGrasp | ReplayGrasp]:
     """Return one job per trial; InputError for what is impossible, or not allowed without --arm."""
+    has_scene = cameras[0].has(Capability.SCENE)
+    touch_s = scene_file.load_of_kind(params.scene, KINDS).time.touch_s if has_scene else TOUCH_S
     watchdog_ms = WATCHDOG_MS if params.watchdog_ms is None else params.watchdog_ms
     driver = _driver(params, gripper, watchdog_ms)
-    touch_s = scene_file.load_of_kind(params.scene, KINDS).time.touch_s
     timing = settings.timing(touch_s)
     _check_timing(timing, params)
     plan = (
@@ -205,63 +209,30 @@ def run(
             opened.callback(desk.record_signals, signals)
         sensors = [_sensor(trial, world, finger) for finger in range(len(cameras))]
         parents = (*settings.parents(), *(header for camera in cameras for header in camera.parents()))
-        detectors = [
-            DetectorSettings(
-                *(camera, _seeds_of(seeds, finger), sensors[finger], settings.detector),
-                *(UNTIL_STOPPED if finger else timing.end_ms, finger),
-            )
-            for finger, camera in enumerate(cameras)
-        ]
-        controller = ControllerSettings(
-            gripper,
-            servo.port if servo is not None else gripper.port,
-            trial.driver,
-            settings.law,
-            timing,
-            # same as the servo's watchdog: without real motion, a busy computer gets more time
-            (VIRTUAL_WATCHDOG_FACTOR if servo is not None else 1) * trial.watchdog_ms,
-            trial.most_s,
-            HOST_TIME if world is None else world.time,
-            settings.controller,
-        )
+        detectors, controller = _process_settings(trial, sensors, world, servo)
         processes = GraspProcesses(detectors, controller, world)
         opened.callback(processes.close)
         if servo is not None and servo.pid is not None:
             set_realtime_priority(SERVO_PRIORITY, servo.pid)
         cameras_ready, gripper_ready = processes.begin(signals)
         with raised_priority(WATCHING_PRIORITY):  # the camera runs: time before `go` is lost to the grasp
-            writers, recipes = [], []
-            shared = {} if len(cameras) == 1 else {"trajectory": uuid4().hex}
-            for finger, ready in enumerate(cameras_ready):
-                for note in ready.notes:
-                    console.say(note)
-                sensor = {**ready.sensor, **sensors[finger], "t_offset": np.int64(0)}
-                described: dict[str, Any] = {"camera": dict(ready.setup)}
-                if finger == 0:
-                    described["gripper"] = {"name": gripper.name, **gripper_ready.setup}
-                    if view is not None:
-                        view.begin(sensor)
-                recipes.append(_recipe(trial, described, sensor, parents, shared))
-                writers.append(RecordingWriter(trial.outputs[finger], sensor, recipe=recipes[finger]))
+            for note in (note for ready in cameras_ready for note in ready.notes):
+                console.say(note)
+            described = {"gripper": {"name": gripper.name, **gripper_ready.setup}}
+            writers, recipes = _begin_files(trial, cameras_ready, described, sensors, parents)
+            if view is not None:
+                view.begin({**cameras_ready[0].sensor, **sensors[0], **NO_OFFSET})
             if is_hardware and not signals:
                 console.say(f"{gripper} moves now; {FALLS}")
             key = opened.enter_context(session.gripper_key(moves=not signals))
-        try:
-            if not signals and (desk is None or not desk.end_reason):
-                processes.go()
-            recorded = record(
-                *(processes, world, writers, timing.end_ms, signals, key),
-                lambda done: progress(done, timing.end_ms),
-                view,
-                WRITING_NICE if is_hardware else BESIDE_VIRTUAL,
-                desk,
-            )
-        except BaseException as error:
-            for writer in writers:
-                writer.leave()
-            processes.close()
-            console.say(f"{gripper}: {processes.last_words()}")
-            raise session.with_hint(error, writers[0]) from None
+        recorder = GraspRecorder(
+            *(processes, world, writers, timing.end_ms, signals, key),
+            lambda done: progress(done, timing.end_ms),
+            view,
+            WRITING_NICE if is_hardware else BESIDE_VIRTUAL,
+            desk,
+        )
+        recorded = _record(recorder, gripper)
         processes.close()
         if view is not None:
             view.end(recorded.ended)
@@ -277,6 +248,68 @@ def run(
             datasets |= session.lost_datasets({f"world.{why}": count for why, count in world.counted.items()})
         grasp_outcome, saved = _finish(writers, trial, recipes, recorded, datasets, world)
     return result_of(trial, recipes[0], recorded, datasets, grasp_outcome, saved, say, interrupted=any(signals))
+
+
+def _process_settings(
+    trial: DeviceGrasp,
+    sensors: Sequence[dict[str, Any]],
+    world: "VirtualWorld | None",
+    servo: "VirtualGripper | None",
+) -> tuple[list[DetectorSettings], ControllerSettings]:
+    """Return the settings of the detectors and of the controller."""
+    settings, timing, seeds = trial.settings, trial.timing, trial.seeds()
+    detectors = [
+        DetectorSettings(
+            *(camera, _seeds_of(seeds, finger), sensors[finger], settings.detector),
+            *(UNTIL_STOPPED if finger else timing.end_ms, finger),
+        )
+        for finger, camera in enumerate(trial.cameras)
+    ]
+    controller = ControllerSettings(
+        trial.gripper,
+        servo.port if servo is not None else trial.gripper.port,
+        trial.driver,
+        settings.law,
+        timing,
+        # same as the servo's watchdog: without real motion, a busy computer gets more time
+        (VIRTUAL_WATCHDOG_FACTOR if servo is not None else 1) * trial.watchdog_ms,
+        trial.most_s,
+        HOST_TIME if world is None else world.time,
+        settings.controller,
+    )
+    return detectors, controller
+
+
+def _begin_files(
+    trial: DeviceGrasp,
+    cameras: Sequence[CameraReady],
+    described: Mapping[str, Any],
+    sensors: Sequence[Mapping[str, Any]],
+    parents: tuple[Header, ...],
+) -> tuple[list[RecordingWriter], list[Recipe]]:
+    """Begin a file per finger; return their writers and recipes. described: the gripper, for the first file."""
+    writers, recipes = [], []
+    shared = {} if len(cameras) == 1 else {"trajectory": uuid4().hex}
+    for finger, ready in enumerate(cameras):
+        sensor = {**ready.sensor, **sensors[finger], **NO_OFFSET}
+        devices = {"camera": dict(ready.setup), **({} if finger else described)}
+        recipes.append(_recipe(trial, devices, sensor, parents, shared))
+        writers.append(RecordingWriter(trial.outputs[finger], sensor, recipe=recipes[finger]))
+    return writers, recipes
+
+
+def _record(recorder: GraspRecorder, gripper: NamedGripper) -> RecordedGrasp:
+    """Let the gripper move and record until the end; after an error, say the torque state and leave the segments."""
+    try:
+        if not recorder.signals and (recorder.desk is None or not recorder.desk.end_reason):
+            recorder.processes.go()
+        return recorder.record()
+    except BaseException as error:
+        for writer in recorder.writers:
+            writer.leave()
+        recorder.processes.close()
+        console.say(f"{gripper}: {recorder.processes.last_words()}")
+        raise session.with_hint(error, recorder.writers[0]) from None
 
 
 def _seeds_of(seeds: np.random.SeedSequence, finger: int) -> np.random.SeedSequence:

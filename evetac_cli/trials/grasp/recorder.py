@@ -19,6 +19,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from evetac_cli.realtime.emergency_key import EmergencyKey
@@ -49,80 +50,95 @@ class OfSecond(NamedTuple):
     batch: SliceBatch
 
 
-def record(
-    processes: GraspProcesses,
-    world: "VirtualWorld | None",
-    writers: Sequence[RecordingWriter],
-    end_ms: int,
-    signals: list[int],
-    key: EmergencyKey,
-    progress: Callable[[int], None],
-    view: LiveView | None = None,
-    niceness: int = 0,
-    desk: "Desk | None" = None,
-) -> RecordedGrasp:
-    """Write until all processes have ended; the result contains their failures.
+@dataclass(eq=False)
+class GraspRecorder:
+    """What the recorder's process knows of a grasp while the other processes run.
 
     writers: one per finger's file; signals: grows when Ctrl-C is pressed; key: opens the gripper.
 
     view: shows the first finger of the grasp, and its button releases the gripper; niceness: of the writing thread.
 
-    desk: for a robot's program, which may mark and end the grasp. A failure in writing is raised.
+    desk: for a robot's program, which may mark and end the grasp.
     """
-    recorded = RecordedGrasp(end_ms=end_ms, second=RecordedFinger() if len(writers) > 1 else None)
 
-    def write_marks(*, last: bool = False) -> None:
-        for row in () if desk is None else desk.marked(last=last):
-            writers[0].append_rows(row)
+    processes: GraspProcesses
+    world: "VirtualWorld | None"
+    writers: Sequence[RecordingWriter]
+    end_ms: int
+    signals: list[int]
+    key: EmergencyKey
+    progress: Callable[[int], None]
+    view: LiveView | None = None
+    niceness: int = 0
+    desk: "Desk | None" = None
+    _received: int = field(default=0, init=False)  # slices of the first finger, some of which may wait to be written
+    _heard_s: float = field(default=-math.inf, init=False)  # time of the last message: who still sends is waited for
 
-    def write(message: Any) -> None:
+    def record(self) -> RecordedGrasp:
+        """Write until all processes have ended; the result contains their failures. A failure in writing is raised."""
+        second = RecordedFinger() if len(self.writers) > 1 else None
+        self._recorded = RecordedGrasp(end_ms=self.end_ms, second=second)
+        interval_s = sys.getswitchinterval()
+        sys.setswitchinterval(SWITCH_S)
+        try:
+            with WritingThread(self._write, self.niceness) as self._writing, raised_priority(PRIORITY):
+                self._watch()
+        finally:
+            sys.setswitchinterval(interval_s)
+        self._write_marks(last=True)
+        self._take_last_truths()
+        self._recorded.conclude(self.processes, self.world)
+        return self._recorded
+
+    def _write(self, message: Any) -> None:
         if isinstance(message, SliceBatch):
-            recorded.take_slices(message, writers[0], processes.now_s(), view)
-            write_marks()
+            self._recorded.take_slices(message, self.writers[0], self.processes.now_s(), self.view)
+            self._write_marks()
         elif isinstance(message, OfSecond):
-            recorded.take_second(message.batch, writers[1], processes.now_s())
+            self._recorded.take_second(message.batch, self.writers[1], self.processes.now_s())
         else:
-            recorded.take_steps(message, writers[0], view)
+            self._recorded.take_steps(message, self.writers[0], self.view)
 
-    interval_s = sys.getswitchinterval()
-    sys.setswitchinterval(SWITCH_S)
-    try:
-        with WritingThread(write, niceness) as writing, raised_priority(PRIORITY):
-            _watch(processes, world, recorded, writing, signals, key, progress, view, desk)
-    finally:
-        sys.setswitchinterval(interval_s)
-    write_marks(last=True)
-    _take_last_truths(recorded, world)
-    recorded.conclude(processes, world)
-    return recorded
+    def _write_marks(self, *, last: bool = False) -> None:
+        for row in () if self.desk is None else self.desk.marked(last=last):
+            self.writers[0].append_rows(row)
 
+    def _watch(self) -> None:
+        """Take incoming messages, and end processes that must end, until all have ended."""
+        processes, recorded = self.processes, self._recorded
+        first_end_s = stopped_s = math.inf
+        while not (all(inbox.ended for inbox in processes.slices) and processes.steps.ended):
+            now_s = self._take_messages()
+            if now_s > max(stopped_s, self._heard_s) + END_S:  # nothing is waiting now, even if this loop is late
+                break
+            self._writing.check()
+            if recorded.slices:
+                self.progress(recorded.slices)
+            if processes.steps.ended or any(inbox.ended for inbox in processes.slices):
+                first_end_s = min(first_end_s, now_s)
+            for inbox, finger in zip(processes.slices, recorded.fingers, strict=True):
+                finger.detector_died = inbox.ended and finger.detector is None
+            self._end_on_request()
+            if recorded.controller is None and not recorded.torque:
+                if not processes.steps.ended:
+                    recorded.controller_hung = processes.end_hanging_controller()
+                if processes.steps.ended or recorded.controller_hung:
+                    recorded.torque = processes.switch_off()
+            if stopped_s == math.inf and (recorded.must_stop() or now_s > first_end_s + LAST_S):
+                processes.status.stop()
+                stopped_s = now_s
 
-def _watch(
-    processes: GraspProcesses,
-    world: "VirtualWorld | None",
-    recorded: RecordedGrasp,
-    writing: "WritingThread",
-    signals: list[int],
-    key: EmergencyKey,
-    progress: Callable[[int], None],
-    view: LiveView | None,
-    desk: "Desk | None",
-) -> None:
-    """Take incoming messages, and end processes that must end, until all have ended."""
-    truths = None if world is None else world.truths
-    first_end_s = stopped_s = math.inf
-    received = 0  # slices received of the first finger
-    heard_s = -math.inf  # time of the last message: a process that still sends is waited for
-    while not (all(inbox.ended for inbox in processes.slices) and processes.steps.ended):
+    def _take_messages(self) -> float:
+        """Wait for messages for ALIVE_S at most, give a sign of life, and take them; return the time of the sign."""
+        processes, recorded, writing = self.processes, self._recorded, self._writing
+        truths = None if self.world is None else self.world.truths
         slices = () if writing.is_full else processes.slices  # then slices wait in the detectors
         inboxes = [inbox for inbox in (*slices, processes.steps, truths) if inbox is not None and not inbox.ended]
         readable = select.select(inboxes, [], [], ALIVE_S)[0]
         processes.give_sign_of_life()
         now_s = time.monotonic()
         if writing.is_full or any(inbox is not truths for inbox in readable):
-            heard_s = now_s
-        elif now_s > max(stopped_s, heard_s) + END_S:  # nothing is waiting now, even if this loop is late
-            break
+            self._heard_s = now_s
         for message in truths.take() if truths is not None else ():
             recorded.take_truth(message)
         for inbox, finger in zip(slices, recorded.fingers, strict=False):
@@ -130,7 +146,7 @@ def _watch(
                 if not isinstance(message, SliceBatch):
                     finger.detector = message
                 elif finger is recorded:
-                    received += len(message.counts)
+                    self._received += len(message.counts)
                     writing.put(message, message.size)
                 else:
                     writing.put(OfSecond(message), message.size)
@@ -139,56 +155,41 @@ def _watch(
                 writing.put(message)
             else:
                 recorded.controller = message
-        writing.check()
-        if recorded.slices:
-            progress(recorded.slices)
-        if processes.steps.ended or any(inbox.ended for inbox in processes.slices):
-            first_end_s = min(first_end_s, now_s)
-        for inbox, finger in zip(processes.slices, recorded.fingers, strict=True):
-            finger.detector_died = inbox.ended and finger.detector is None
-        if desk is not None and not recorded.ended:
-            recorded.ended = _asked_to_end(desk, recorded, received, processes)
-        if signals and not recorded.ended:
+        return now_s
+
+    def _end_on_request(self) -> None:
+        """Let the grasp end if a robot's program, Ctrl-C, the live view or the emergency key asks for it."""
+        recorded, view = self._recorded, self.view
+        if self.desk is not None and not recorded.ended:
+            recorded.ended = self._asked_to_end(self.desk)
+        if self.signals and not recorded.ended:
             recorded.ended = INTERRUPTED
         if view is not None and view.is_asked_to_let_go and not recorded.ended:
             recorded.ended = LET_GO
-        if key.pressed and not recorded.ended:
+        if self.key.pressed and not recorded.ended:
             recorded.ended = OPENED
-            processes.status.open_gripper()
-        if recorded.controller is None and not recorded.torque:
-            if not processes.steps.ended:
-                recorded.controller_hung = processes.end_hanging_controller()
-            if processes.steps.ended or recorded.controller_hung:
-                recorded.torque = processes.switch_off()
-        if stopped_s == math.inf and (recorded.must_stop() or now_s > first_end_s + LAST_S):
-            processes.status.stop()
-            stopped_s = now_s
+            self.processes.status.open_gripper()
 
+    def _asked_to_end(self, desk: "Desk") -> str:
+        """Return why a robot's program ends the grasp, "" if it does not."""
+        if not self._recorded.slices:
+            return desk.end_reason
+        return desk.recorded(self._received, self.processes.now_s, self._recorded.zero_us, patience_s=STOP_S)
 
-def _asked_to_end(desk: "Desk", recorded: RecordedGrasp, received: int, processes: GraspProcesses) -> str:
-    """Return why a robot's program ends the grasp, "" if it does not.
-
-    received: number of received slices, some of which may wait to be written.
-    """
-    if not recorded.slices:
-        return desk.end_reason
-    return desk.recorded(received, processes.now_s, recorded.zero_us, patience_s=STOP_S)
-
-
-def _take_last_truths(recorded: RecordedGrasp, world: "VirtualWorld | None") -> None:
-    """Take the ground truth of the last slices, which may arrive after them."""
-    truths = None if world is None else world.truths
-    until_s = time.monotonic() + END_S
-    while (
-        truths is not None
-        and not truths.ended
-        and recorded.truths < recorded.slices
-        and time.monotonic() < until_s  # a world that still sends is waited for
-    ):
-        select.select([truths], [], [], POLL_S)
-        for message in truths.take():
-            recorded.take_truth(message)
-            until_s = time.monotonic() + END_S
+    def _take_last_truths(self) -> None:
+        """Take the ground truth of the last slices, which may arrive after them."""
+        truths = None if self.world is None else self.world.truths
+        until_s = time.monotonic() + END_S
+        while (
+            truths is not None
+            and not truths.ended
+            and self._recorded.truths < self._recorded.slices
+            and time.monotonic() < until_s  # a world that still sends is waited for
+        ):
+            select.select([truths], [], [], POLL_S)
+            for message in truths.take():
+                self._recorded.take_truth(message)
+                until_s = time.monotonic() + END_S
 
 
 class WritingThread(threading.Thread):

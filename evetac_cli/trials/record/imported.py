@@ -22,12 +22,11 @@ from evetac_cli.store.recordings.read import UNKNOWN_SENSOR
 from evetac_cli.trials.trial import OUTPUT
 
 if TYPE_CHECKING:  # needs the libraries of the file's format
-    from evetac_cli.formats.imports import EventFile
+    from evetac_cli.formats.imports import Imported
 
 METHOD = 3
 # Properties of a file that the user may specify; stored in the header if specified.
 OPTIONS = ("drop_late", "from_restart", "columns", "time_unit")
-NO_TIMES = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True)
@@ -40,48 +39,44 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
 
     The events are written once, as they are read. Their properties, and whether they are usable, are known at the end.
     """
-    from evetac_cli.formats.imports import EventFile, left_out_text  # needs the libraries of the file's format
+    from evetac_cli.formats.imports import (  # needs the libraries of the file's format
+        EventFile,
+        ImportOptions,
+        left_out_text,
+    )
     from evetac_cli.formats.read.time_order import OrderOptions
 
-    file = EventFile(
-        job.inputs[0],
-        frame_px=_frame(params.frame_size),
-        order=OrderOptions(params.sort, params.drop_late, params.from_restart),
-        stream=params.stream,
-        columns=params.columns,
-        time_unit=params.time_unit,
-        frames=params.frames,
-        folder=existing_folder(job.output.parent),
-        progress=progress,
+    options = ImportOptions(
+        _frame(params.frame_size),
+        OrderOptions(params.sort, params.drop_late, params.from_restart),
+        params.stream,
+        params.columns,
+        params.time_unit,
+        params.frames,
     )
+    file = EventFile(job.inputs[0], options, existing_folder(job.output.parent), progress)
     datasets: dict[str, Any] = {"sensor/frame_px": np.array(file.frame_px, np.int32), "sensor/name": UNKNOWN_SENSOR}
     if params.calibration is not None:
         datasets |= read_calibration(params.calibration, file.frame_px).recorded()
     digest, starts = ContentDigest(), SliceStarts()
     folders = missing_folders(job.output.parent)
     with _removed_if_refused(folders), writing(job.output, OUTPUT, datasets, force=force) as recording:
-        for block in _blocks(file):
+        for events in chain([empty()], file.blocks()):
+            block = {f"events/{column}": getattr(events, column) for column in Events._fields}
             recording.append(block)
             digest.update_all(block)
-            starts.add(block.get("events/t", NO_TIMES))
-        facts = file.facts
+            starts.add(events.t)
+        facts = file.finish()
+        for block in chain.from_iterable(stream.blocks() for stream in facts.streams):
+            recording.append(block)
+            digest.update_all(block)
         late: dict[str, Any] = {
             "ms_to_idx": starts.finish(facts.slices),
             "t_offset": np.int64(facts.t_offset_us),
             **{path: text for stream in facts.streams for path, text in stream.texts().items()},
         }
         digest.update_all(datasets | late)
-        parameters = {
-            "source": job.inputs[0].name,
-            "format": facts.format,
-            "sorted": params.sort,
-            **{name: getattr(params, name) for name in OPTIONS if getattr(params, name) not in (None, False)},
-            "dropped": dict(facts.counts),
-            "left_out": dict(facts.left_out),
-            "notes": list(facts.notes),
-        }
-        recipe = Recipe(OUTPUT, METHOD, parameters, content=digest.hexdigest(), simulated_source=facts.simulated)
-        recording.finish(recipe, late)
+        recording.finish(_recipe(job, params, facts, digest), late)
     return outcome(
         job,
         made=recording.made,
@@ -95,6 +90,19 @@ def run(job: ImportJob, params: Record, *, force: bool, progress: Progress) -> O
     )
 
 
+def _recipe(job: ImportJob, params: Record, facts: "Imported", digest: ContentDigest) -> Recipe:
+    parameters = {
+        "source": job.inputs[0].name,
+        "format": facts.format,
+        "sorted": params.sort,
+        **{name: getattr(params, name) for name in OPTIONS if getattr(params, name) not in (None, False)},
+        "dropped": dict(facts.counts),
+        "left_out": dict(facts.left_out),
+        "notes": list(facts.notes),
+    }
+    return Recipe(OUTPUT, METHOD, parameters, content=digest.hexdigest(), simulated_source=facts.simulated)
+
+
 @contextmanager
 def _removed_if_refused(folders: list[Path]) -> Iterator[None]:
     """Remove folders created for a recording if its source file turns out to be unusable; no other job uses them."""
@@ -103,14 +111,6 @@ def _removed_if_refused(folders: list[Path]) -> Iterator[None]:
     except EvetacError:
         remove_empty(folders)
         raise
-
-
-def _blocks(file: "EventFile") -> Iterator[dict[str, Any]]:
-    """Yield the events in blocks, then the other streams, as datasets of a recording; each dataset is in one stream."""
-    for events in chain([empty()], file.blocks()):
-        yield {f"events/{column}": getattr(events, column) for column in Events._fields}
-    for stream in file.facts.streams:
-        yield from stream.blocks()
 
 
 def _frame(text: str | None) -> tuple[int, int] | None:

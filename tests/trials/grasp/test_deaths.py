@@ -226,7 +226,9 @@ def test_a_recorder_waits_for_who_still_sends(monkeypatch: pytest.MonkeyPatch) -
     sender = threading.Thread(target=send_on, args=(MessageWriter(slices[1]), slices[1]))
     sender.start()
     writer, key = Writer(), SimpleNamespace(pressed=False)
-    recorded = recorder.record(processes, None, (writer,), 1000, [], key, lambda done: None)  # type: ignore[arg-type]
+    recorded = recorder.GraspRecorder(
+        *(processes, None, (writer,), 1000, [], key, lambda done: None)  # type: ignore[arg-type]
+    ).record()
     sender.join()
     assert writer.slices == recorded.slices == 150
     assert recorded.detector == DetectorEnded({"late_events": 7}, None)
@@ -265,7 +267,9 @@ def test_a_recorder_that_is_kept_from_running_reads_all_that_is_there(monkeypatc
         exit_words=lambda which: "exit code 0, without a message",
     )  # fmt: skip
     writer, key = Writer(), SimpleNamespace(pressed=False)
-    recorded = recorder.record(processes, None, (writer,), 1000, [], key, lambda done: None)  # type: ignore[arg-type]
+    recorded = recorder.GraspRecorder(
+        *(processes, None, (writer,), 1000, [], key, lambda done: None)  # type: ignore[arg-type]
+    ).record()
     assert writer.slices == 45
     assert recorded.ended == "the recorder cannot keep up; torque is off"
     assert recorded.error is behind

@@ -137,6 +137,8 @@ def test_who_watches_gives_signs_of_life_while_writing_hangs() -> None:
         def pressed(self) -> bool:
             return len(signs) > 20
 
-    recorded = recorder.record(processes, None, (writer,), 1000, [], Key(), lambda done: None)  # type: ignore[arg-type]
+    recorded = recorder.GraspRecorder(
+        *(processes, None, (writer,), 1000, [], Key(), lambda done: None)  # type: ignore[arg-type]
+    ).record()
     assert len(signs) > 20
     assert writer.slices == recorded.slices == 200

@@ -33,11 +33,13 @@ RULES = {
 class Choices:
     """The options of an export; their defaults are those of the command."""
 
-    fps: int
-    per_frame: str
-    tactile_key: str
-    event_frames: str | None
-    size: tuple[int, int] | None
+    fps: int = 50
+    per_frame: str = "mean"
+    test_objects: Sequence[int] = ()
+    task: str | None = None
+    tactile_key: str = "observation.tactile"
+    event_frames: str | None = None
+    size: tuple[int, int] | None = None
 
     @property
     def rule(self) -> str:

@@ -11,8 +11,9 @@ card; meta/evetac.json has the header of each file of each episode's trial. lero
 Source: LeRobotDataset v3.0 as written by lerobot 0.4.4 and 0.6.1 (lerobot/datasets); slow tests run both.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ from evetac_cli.formats.write.lerobot import event_stacks, other_streams
 from evetac_cli.formats.write.lerobot.contents import Choices, FrameContents, choose
 from evetac_cli.formats.write.lerobot.data_card import data_card
 from evetac_cli.formats.write.lerobot.episode_files import EpisodePlace, Numbered, Tables, Videos
-from evetac_cli.formats.write.lerobot.episodes import episode, outline, pictures
+from evetac_cli.formats.write.lerobot.episodes import EpisodeOutline, episode, outline, pictures
 from evetac_cli.formats.write.lerobot.meta_files import (
     VIDEO,
     Feature,
@@ -50,90 +51,38 @@ VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.m
 EPISODES_PATH = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 
 
-def write(
-    sources: Sequence[Path],
-    opened: Opener,
-    folder: Path,
-    progress: Progress,
-    *,
-    fps: int = 50,
-    per_frame: str = "mean",
-    test_objects: Sequence[int] = (),
-    task: str | None = None,
-    tactile_key: str = "observation.tactile",
-    event_frames: str | None = None,
-    size: tuple[int, int] | None = None,
-) -> WrittenFolder:
-    """Write all trials as one data set.
+def write(sources: Sequence[Path], opened: Opener, folder: Path, progress: Progress, **options: Any) -> WrittenFolder:
+    """Write all trials as one data set; options are those of Choices.
 
     Raises InputError if the trials do not fit together, and MissingLibrary if pyarrow or av is not installed.
     """
     arrow, av = load_pyarrow(str(folder.parent)), _load_av(str(folder.parent))
+    choices = Choices(**options)
     outlines = []
     for source in sources:
         with opened(source) as files:
-            outlines.append(outline(files, task))
-    contents, notes = choose(outlines, Choices(fps, per_frame, tactile_key, event_frames, size))
-    outlines.sort(key=lambda one: one.facts["object"] in test_objects)  # a stable sort; test episodes come last
-    train = sum(one.facts["object"] not in test_objects for one in outlines)
-    if test_objects and train == len(outlines):
-        objects = ", ".join(sorted({str(one.facts["object"]) for one in outlines}))
-        raise InputError("no trial has any of these objects", where="--test-objects", expected=f"some of {objects}")
-    if not train:
-        raise InputError("no trial is left to train on", where="--test-objects", expected="trials of other objects too")
-    tasks = list(dict.fromkeys(one.task for one in outlines))
+            outlines.append(outline(files, choices.task))
+    contents, notes = choose(outlines, choices)
+    outlines.sort(key=lambda one: one.facts["object"] in choices.test_objects)  # a stable sort; test episodes come last
+    train = _count_to_train_on(outlines, choices.test_objects)
     headers: dict[str, Any] = {}
-    train_frames, levels = 0, dict[str, NDArray[np.int64]]()  # of the training episodes; levels: pixels of each level
     done, slices = 0, sum(one.slices for one in outlines)
     with _video_errors(av, folder), ExitStack() as stack:
         data = stack.enter_context(Tables(arrow, Numbered(folder, DATA_PATH, CHUNK_FILES, DATA_MB)))
         episodes = stack.enter_context(Tables(arrow, Numbered(folder, EPISODES_PATH, CHUNK_FILES, None)))
         videos = {
-            key: stack.enter_context(_videos(av, folder, key, contents.features[key], fps))
+            key: stack.enter_context(_videos(av, folder, key, contents.features[key], choices.fps))
             for key in (VIDEO, *contents.stream_videos)
         }
-        types = {**typed([one.facts for one in outlines]), "recording_id": "string"}
+        written = Episodes(arrow, contents, outlines, train, data, episodes, videos)
         for number, one in enumerate(outlines):
             progress(done, slices, "slices")
             with opened(one.path) as files:
-                episode_frames = episode(files, contents.vectors, fps, per_frame)
                 headers[str(number)] = provenance(files, one.facts)
-                places = {key: each.begin() for key, each in videos.items()}
-                pixels = {key: _film(files, contents, key, episode_frames.edges, each) for key, each in videos.items()}
-                stacks = contents.stacks
-                stills = None if stacks is None else stacks.stills(files.recording, episode_frames.edges)
+                written.add(number, files)
                 notes += [f"{one.facts['trial']}: {note}" for note in files.notes]
-            rows = contents.rows(episode_frames, number, data.rows, tasks.index(one.task))
-            columns = {name: _column(arrow, values) for name, values in rows.items()}
-            if stacks is not None and stills is not None:
-                pixels |= zip(stacks.keys(), event_stacks.pixels_of(stills), strict=True)
-                columns |= {key: event_stacks.column(arrow, stills, at) for at, key in enumerate(stacks.keys())}
-            frames = len(episode_frames.state)
-            statistics = {key: of_pictures(counts, frames) for key, counts in pixels.items()}
-            statistics |= {name: of_columns(values) for name, values in rows.items()}
-            if number < train:
-                train_frames += frames
-                levels = {key: counts + levels.get(key, 0) for key, counts in pixels.items()}
-            table = arrow.table({key: columns[key] for key in contents.features if key in columns})
-            lies = {
-                "episode_index": number,
-                "tasks": [one.task],
-                "length": frames,
-                "dataset_from_index": data.rows,
-                "dataset_to_index": data.rows + frames,
-                **place_columns("data", data.append(table)),
-                **place_columns("meta/episodes", EpisodePlace(0, 0)),
-            }
-            for key, place in places.items():
-                lies |= place_columns(f"videos/{key}", place)
-                lies |= {f"videos/{key}/from_timestamp": place.start_s, f"videos/{key}/to_timestamp": videos[key].now_s}
-            episodes.append(episode_table(arrow, lies, statistics, {**one.facts, "recording_id": one.id}, types))
             done += one.slices
-    total = {key: of_pictures(counts, train_frames) for key, counts in levels.items()}
-    for name, each in rows.items():
-        width = each[:1].size
-        total[name] = of_many(partial(_parts, arrow, folder, name, width, train_frames), width, train_frames)
-    write_tasks(arrow, folder / "meta" / "tasks.parquet", tasks)
+    write_tasks(arrow, folder / "meta" / "tasks.parquet", written.tasks)
     splits = {"train": f"0:{train}", "test": f"{train}:{len(outlines)}"}
     splits = {name: part for name, part in splits.items() if part.split(":")[0] != part.split(":")[1]}
     info = {
@@ -141,22 +90,102 @@ def write(
         "robot_type": "evetac",
         "total_episodes": len(outlines),
         "total_frames": data.rows,
-        "total_tasks": len(tasks),
+        "total_tasks": len(written.tasks),
         "chunks_size": CHUNK_FILES,
         "data_files_size_in_mb": DATA_MB,
         "video_files_size_in_mb": VIDEO_MB,
-        "fps": fps,
+        "fps": choices.fps,
         "splits": splits,
         "data_path": DATA_PATH,
         "video_path": VIDEO_PATH,
         "features": {name: feature.described() for name, feature in contents.features.items()},
     }
     write_json(folder / "meta" / "info.json", info)
-    write_json(folder / "meta" / "stats.json", as_lists(total))
-    write_json(folder / "meta" / "evetac.json", {"per_frame": per_frame, "fps": fps, "episodes": headers})
+    write_json(folder / "meta" / "stats.json", as_lists(written.statistics(folder)))
+    about = {"per_frame": choices.per_frame, "fps": choices.fps, "episodes": headers}
+    write_json(folder / "meta" / "evetac.json", about)
     (folder / "README.md").write_text(data_card(outlines, contents, info, notes), encoding="utf-8")
     simulated = any(one.facts["simulated"] for one in outlines)
-    return WrittenFolder(simulated, notes, {"episodes": len(outlines), "frames": data.rows, "fps": fps, **splits})
+    figures = {"episodes": len(outlines), "frames": data.rows, "fps": choices.fps, **splits}
+    return WrittenFolder(simulated, notes, figures)
+
+
+def _count_to_train_on(outlines: Sequence[EpisodeOutline], test_objects: Sequence[int]) -> int:
+    """Return the number of episodes of other objects; InputError if there is none, or no episode of these objects."""
+    train = sum(one.facts["object"] not in test_objects for one in outlines)
+    if test_objects and train == len(outlines):
+        objects = ", ".join(sorted({str(one.facts["object"]) for one in outlines}))
+        raise InputError("no trial has any of these objects", where="--test-objects", expected=f"some of {objects}")
+    if not train:
+        raise InputError("no trial is left to train on", where="--test-objects", expected="trials of other objects too")
+    return train
+
+
+@dataclass(eq=False)
+class Episodes:
+    """The episodes of a data set, written one after the other; train: the number of those to train on, which are first.
+
+    data: a row per frame; table: a row per episode; videos: by the name of their feature.
+    """
+
+    arrow: Any
+    contents: FrameContents
+    outlines: Sequence[EpisodeOutline]
+    train: int
+    data: Tables
+    table: Tables
+    videos: Mapping[str, Videos]
+
+    def __post_init__(self) -> None:
+        self.tasks = list(dict.fromkeys(one.task for one in self.outlines))
+        self._types = {**typed([one.facts for one in self.outlines]), "recording_id": "string"}
+        self._train_frames = 0
+        self._levels: dict[str, NDArray[np.int64]] = {}  # pixels of each level in the training episodes
+        self._widths: dict[str, int] = {}  # numbers per frame of each column
+
+    def add(self, number: int, files: TrialFiles) -> None:
+        """Write the next episode."""
+        arrow, contents, one = self.arrow, self.contents, self.outlines[number]
+        of = episode(files, contents.vectors, contents.choices.fps, contents.choices.per_frame)
+        places = {key: each.begin() for key, each in self.videos.items()}
+        pixels = {key: _film(files, contents, key, of.edges, each) for key, each in self.videos.items()}
+        rows = contents.rows(of, number, self.data.rows, self.tasks.index(one.task))
+        columns = {name: _column(arrow, values) for name, values in rows.items()}
+        if (stacks := contents.stacks) is not None:
+            stills = stacks.stills(files.recording, of.edges)
+            pixels |= zip(stacks.keys(), event_stacks.pixels_of(stills), strict=True)
+            columns |= {key: event_stacks.column(arrow, stills, at) for at, key in enumerate(stacks.keys())}
+        frames = len(of.state)
+        statistics = {key: of_pictures(counts, frames) for key, counts in pixels.items()}
+        statistics |= {name: of_columns(values) for name, values in rows.items()}
+        if number < self.train:
+            self._train_frames += frames
+            self._levels = {key: counts + self._levels.get(key, 0) for key, counts in pixels.items()}
+        self._widths = {name: values[:1].size for name, values in rows.items()}
+        table = arrow.table({key: columns[key] for key in contents.features if key in columns})
+        lies = {
+            "episode_index": number,
+            "tasks": [one.task],
+            "length": frames,
+            "dataset_from_index": self.data.rows,
+            "dataset_to_index": self.data.rows + frames,
+            **place_columns("data", self.data.append(table)),
+            **place_columns("meta/episodes", EpisodePlace(0, 0)),
+        }
+        for key, place in places.items():
+            begin_s, end_s = place.start_s, self.videos[key].now_s
+            lies |= place_columns(f"videos/{key}", place)
+            lies |= {f"videos/{key}/from_timestamp": begin_s, f"videos/{key}/to_timestamp": end_s}
+        facts = {**one.facts, "recording_id": one.id}
+        self.table.append(episode_table(arrow, lies, statistics, facts, self._types))
+
+    def statistics(self, folder: Path) -> dict[str, Any]:
+        """Return the statistics of the training episodes, from the closed files."""
+        frames = self._train_frames
+        total = {key: of_pictures(counts, frames) for key, counts in self._levels.items()}
+        for name, width in self._widths.items():
+            total[name] = of_many(partial(_parts, self.arrow, folder, name, width, frames), width, frames)
+        return total
 
 
 def _load_av(where: str) -> Any:
