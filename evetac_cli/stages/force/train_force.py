@@ -6,6 +6,7 @@ all trajectories. The network is trained on all but the last, which is used to c
 reading of a force sensor: the true force of a simulated recording, with noise.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -76,16 +77,7 @@ def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress
     """Fit both models of the paper and store them as arrays, or adapt touch maps."""
     if params.method == "touch":
         return adapt_touch.run(job, params, force=force, progress=progress)
-    headers, sensors, sensor_names, shapes = [], [], [], []
-    for path in job.inputs:
-        with StageFile(path, "tracks") as tracks, recording_with_truth(tracks):
-            headers.append(tracks.header)
-            sensors.append(sensor_sort(tracks.header))
-            sensor_names.append(tracks.read("sensor/name"))
-            shapes.append(read_dot_shape(tracks))
-    check_disjoint(headers[:-1], headers[-1:], "held out", job.inputs[-1:])
-    for what, values in (("sensors", sensors), ("dot grids", shapes)):
-        check_same(what, values, job.inputs)
+    headers, sensor = _inspect(job.inputs)
     parameters = {key: value for key, value in recipe_of(params).items() if key in OF_THE_PAPER}
     recipe = Recipe(OUTPUT, METHOD, parameters, seed=params.seed, parents=tuple(headers))
     simulated = recipe.simulated
@@ -98,26 +90,17 @@ def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress
     samples = [read_samples(path, params.samples, params.noise_n, noise) for path in job.inputs]
     moved_px = np.concatenate([one.moved_px for one in samples])
     force_n = np.concatenate([one.force_n for one in samples])
-    held_out = samples[-1]
-    training_samples = len(force_n) - len(held_out.force_n)
+    learned, held_out = len(force_n) - len(samples[-1].force_n), (samples[-1].moved_px, samples[-1].force_n)
     try:
         regression = forces.fit_regression(moved_px, force_n)
         trained = force_training.train(
-            moved_px[:training_samples],
-            force_n[:training_samples],
-            held_out.moved_px,
-            held_out.force_n,
-            training,
-            params.epochs,
-            progress,
+            moved_px[:learned], force_n[:learned], *held_out, training, params.epochs, progress
         )
     except ValueError as error:
         where = f"{job.inputs[0]} and {len(job.inputs) - 1} more"
         raise InputError(f"no force can be fitted: {error}", where=where) from error
     arrays: dict[str, Any] = {
-        "sensor": sensors[0],
-        "sensor_name": ", ".join(dict.fromkeys(sensor_names)),
-        "dot_shape": np.array(shapes[0], np.int32),
+        **sensor,
         "regression/slope_n_px": regression.slope_n_px,
         "regression/offset_n": regression.offset_n,
         "network/scale_px": np.float64(trained.network.scale_px),
@@ -133,13 +116,32 @@ def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress
         job,
         made=made,
         simulated=simulated,
-        sensor=sensors[0],
-        sensor_name=arrays["sensor_name"],
+        sensor=sensor["sensor"],
+        sensor_name=sensor["sensor_name"],
         trajectories=len(job.inputs),
         samples=len(force_n),
         best_epoch=trained.best_epoch + 1,
         held_out_error_n_rms=float(trained.held_out_n[trained.best_epoch]),
     )
+
+
+def _inspect(paths: Sequence[Path]) -> tuple[list[Header], dict[str, Any]]:
+    """Return the headers of the tracks, and the datasets of the model on their sensor.
+
+    InputError if sensors or dot grids differ, or if the file to hold out has a recording in common with the others.
+    """
+    headers, sensors, sensor_names, shapes = [], [], [], []
+    for path in paths:
+        with StageFile(path, "tracks") as tracks, recording_with_truth(tracks):
+            headers.append(tracks.header)
+            sensors.append(sensor_sort(tracks.header))
+            sensor_names.append(tracks.read("sensor/name"))
+            shapes.append(read_dot_shape(tracks))
+    check_disjoint(headers[:-1], headers[-1:], "held out", paths[-1:])
+    for what, values in (("sensors", sensors), ("dot grids", shapes)):
+        check_same(what, values, paths)
+    names = ", ".join(dict.fromkeys(sensor_names))
+    return headers, {"sensor": sensors[0], "sensor_name": names, "dot_shape": np.array(shapes[0], np.int32)}
 
 
 def read_samples(path: Path, count: int, noise_n: float, noise: np.random.Generator) -> ForceSamples:

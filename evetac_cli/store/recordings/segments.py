@@ -16,7 +16,7 @@ import json
 import os
 import re
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -249,56 +249,75 @@ def join(
     `replaces`.
     """
     per_slice = _float_of_every_slice(parts)
-    digest = ContentDigest()
-    events = 0
     with CheckedHdf5(folder / STATIC) as static:
         whole = {**whole_datasets(static), **late}
-    shapes = {name: schema.describe(value) for name, value in whole.items()}
     with replacing(path, partial(check_free, path, force=replaces)) as h5:
-        for name, value in whole.items():
-            put(h5, name, value)
-            digest.update(name, value)
-
-        writers: dict[str, RowWriter] = {}
-
-        def put_more(name: str, rows: Any) -> None:
-            """Append rows to a dataset, which is created by the first rows."""
-            if name not in writers:
-                writers[name] = RowWriter(h5, name, rows.dtype, rows.shape[1:])
-            writer = writers[name]
-            writer.append(rows)
-            digest.update(name, rows)
-            shapes[name] = (rows.dtype.name, (writer.rows, *rows.shape[1:]))
-
-        put_more(STARTS, np.zeros(1, np.int64))
+        joined = _JoinedDatasets(h5, whole)
         for part in parts:
             if isinstance(part, int):
-                for count in _in_blocks(part):
-                    put_more(STARTS, np.full(count, events, np.int64))
-                    for name, (dtype, row_shape) in per_slice.items():
-                        put_more(name, np.full((count, *row_shape), np.nan, dtype))
-                continue
-            with CheckedHdf5(part) as segment:
-                for name, dataset in segment.datasets().items():
-                    for rows in row_blocks(dataset):
-                        if name != COUNTS:
-                            put_more(name, rows)
-                        else:
-                            ends = events + np.cumsum(rows)
-                            put_more(STARTS, ends.astype(np.int64))
-                            events = int(ends[-1]) if len(ends) else events
+                joined.append_lost(part, per_slice)
+            else:
+                joined.append_segment(part)
+        joined.close(str(folder))
+        header = Recipe(**{**vars(recipe), "seed": None, "content": joined.digest.hexdigest()}).header()
+        put_header(h5, header)
+    return header
+
+
+class _JoinedDatasets:
+    """The datasets of a recording that is joined, with their digest; whole: those that do not grow."""
+
+    def __init__(self, h5: Any, whole: Mapping[str, Any]) -> None:
+        self.digest = ContentDigest()
+        self._h5 = h5
+        self._shapes = {name: schema.describe(value) for name, value in whole.items()}
+        self._writers: dict[str, RowWriter] = {}
+        self._events = 0
+        for name, value in whole.items():
+            put(h5, name, value)
+            self.digest.update(name, value)
+        self._append(STARTS, np.zeros(1, np.int64))
+
+    def _append(self, name: str, rows: Any) -> None:
+        """Append rows to a dataset, which is created by the first rows."""
+        if name not in self._writers:
+            self._writers[name] = RowWriter(self._h5, name, rows.dtype, rows.shape[1:])
+        writer = self._writers[name]
+        writer.append(rows)
+        self.digest.update(name, rows)
+        self._shapes[name] = (rows.dtype.name, (writer.rows, *rows.shape[1:]))
+
+    def append_lost(self, slices: int, per_slice: Mapping[str, tuple[Any, tuple[int, ...]]]) -> None:
+        """Append empty slices, with NaN in the datasets `per_slice`, of which it has the type and shape of a row."""
+        for first in range(0, slices, BLOCK_ROWS):
+            count = min(BLOCK_ROWS, slices - first)
+            self._append(STARTS, np.full(count, self._events, np.int64))
+            for name, (dtype, row_shape) in per_slice.items():
+                self._append(name, np.full((count, *row_shape), np.nan, dtype))
+
+    def append_segment(self, path: Path) -> None:
+        """Append the rows of a segment."""
+        with CheckedHdf5(path) as segment:
+            for name, dataset in segment.datasets().items():
+                for rows in row_blocks(dataset):
+                    if name != COUNTS:
+                        self._append(name, rows)
+                    else:
+                        ends = self._events + np.cumsum(rows)
+                        self._append(STARTS, ends.astype(np.int64))
+                        self._events = int(ends[-1]) if len(ends) else self._events
+
+    def close(self, where: str) -> None:
+        """Complete the datasets; InputError if they do not agree with the schema."""
         table = schema.load("recording")
         for column in Events._fields:  # a recording without any slice still has these columns
             name = f"events/{column}"
             described = table.find(name)
-            if name not in writers and described is not None:
-                put_more(name, np.empty(0, described.dtype))
-        for writer in writers.values():
+            if name not in self._writers and described is not None:
+                self._append(name, np.empty(0, described.dtype))
+        for writer in self._writers.values():
             writer.close()
-        schema.refuse("recording", schema.problems(table, shapes), str(folder))
-        header = Recipe(**{**vars(recipe), "seed": None, "content": digest.hexdigest()}).header()
-        put_header(h5, header)
-    return header
+        schema.refuse("recording", schema.problems(table, self._shapes), where)
 
 
 def whole_datasets(file: CheckedHdf5) -> dict[str, Any]:
@@ -307,12 +326,6 @@ def whole_datasets(file: CheckedHdf5) -> dict[str, Any]:
         name: file.text(name, dataset.id) if schema.describe_stored(dataset) == "utf8" else dataset[()]
         for name, dataset in file.datasets().items()
     }
-
-
-def _in_blocks(count: int) -> Iterator[int]:
-    """Yield numbers of at most BLOCK_ROWS that add up to `count`."""
-    for start in range(0, count, BLOCK_ROWS):
-        yield min(BLOCK_ROWS, count - start)
 
 
 def _float_of_every_slice(parts: Sequence[Path | int]) -> dict[str, tuple[Any, tuple[int, ...]]]:
