@@ -38,14 +38,7 @@ def execute(command: Command, title: str, flag_values: dict[str, Any]) -> None:
         _check_outputs(jobs, files, params, force=running.force)
         require_jobs(running)
         if stage.dry_run is not None and params.dry_run:
-            # A scene is run to measure its cost: some seconds, up to a minute if it has to be compiled first.
-            quiet = running.quiet
-            with (
-                console.progress_bar(f"{title} --dry-run", "runs", quiet=quiet) as progress,
-                compiling.announced(quiet=quiet, interrupted=interrupt_received),
-            ):
-                shown = stage.dry_run(jobs, params, force=running.force, progress=progress)
-            _show_plan(f"{title} --dry-run", stage, shown, running)
+            _dry_run(f"{title} --dry-run", stage, jobs, params, running)
             return
         for line in stage.cautions(jobs, params) if not running.quiet else ():
             console.say(f"note: {line}")
@@ -95,8 +88,17 @@ def require_jobs(running: Running) -> None:
         raise InputError("out of range", where="--jobs", expected="at least 1", found=str(running.number_of_jobs))
 
 
-def _show_plan(title: str, stage: Stage[Any], shown: Outcome, running: Running) -> None:
-    """Print the result of a dry run: what fits a screen, or with -v or --json everything."""
+def _dry_run(title: str, stage: Stage[Any], jobs: list[Job], params: Any, running: Running) -> None:
+    """Print what would be made: what fits a screen, or with -v or --json everything.
+
+    A scene is run to measure its cost: some seconds, up to a minute if it has to be compiled first.
+    """
+    assert stage.dry_run is not None
+    with (
+        console.progress_bar(title, "runs", quiet=running.quiet) as progress,
+        compiling.announced(quiet=running.quiet, interrupted=interrupt_received),
+    ):
+        shown = stage.dry_run(jobs, params, force=running.force, progress=progress)
     if running.as_json or running.verbose:
         how = {"as_json": running.as_json, "verbose": running.verbose}
         console.show(title, shown.rows, shown.summary, simulated=shown.simulated, **how)

@@ -133,26 +133,20 @@ def run(params: Doctor, out: Path | None, ask: Callable[[str], bool] | None = No
         wrong = [row["check"] for row in steps.rows if not row["ok"]]
         ended = "interrupted" if interrupted else f"stopped at: {wrong[0]}" if wrong else "all as expected"
         summary = {"steps": len(steps.rows), "wrong": len(wrong), "ended": ended}
-        report = {
-            "command": "doctor --hardware",
-            "simulated": simulated,
-            "rows": steps.rows,
-            "summary": summary,
-            "camera": None if camera is None else str(camera),
-            "gripper": str(gripper),
-            "registers": registers,
-            "made": {
-                **time_host_versions(),
-                "system": platform.platform(),
-                **{name: version(name) for name in LIBRARIES},
-            },
-        }
-        try:
-            with taking_the_place_of(path) as temporary:
-                temporary.write_text(json.dumps(report, indent=1) + "\n")
-        except InputError as error:
-            console.say(f"{path}: the report could not be written: {error.message}")
+        about = {"camera": None if camera is None else str(camera), "gripper": str(gripper), "registers": registers}
+        _write_report(path, {"simulated": simulated, "rows": steps.rows, "summary": summary, **about})
     return Outcome(steps.rows, simulated, {**summary, "report": str(path)})
+
+
+def _write_report(path: Path, report: dict[str, Any]) -> None:
+    """Write the report, with the versions of programs; a failure is only said, as the rows are printed anyway."""
+    libraries = {name: version(name) for name in LIBRARIES}
+    made = {**time_host_versions(), "system": platform.platform(), **libraries}
+    try:
+        with taking_the_place_of(path) as temporary:
+            temporary.write_text(json.dumps({"command": "doctor --hardware", **report, "made": made}, indent=1) + "\n")
+    except InputError as error:
+        console.say(f"{path}: the report could not be written: {error.message}")
 
 
 def show(result: Outcome) -> None:

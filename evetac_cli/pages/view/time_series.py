@@ -135,62 +135,76 @@ def series_panels(
 
     probability: from model_output. of_touch: panels of a touch file, placed below the panels of the true values.
     """
-    start, stop = span
-    t_s = slice_times_s(start, stop)
-    panels = []
     recording, tracks, labels = trial.recording, trial.tracks, trial.labels
+    panels = [*(_truth(recording, span) if recording is not None else ()), *of_touch]
     if recording is not None:
-        per_slice = np.diff(recording.starts[start : stop + 1])
+        per_slice = np.diff(recording.starts[span[0] : span[1] + 1])
         counts = np.maximum(per_slice, 1)[:, None]  # a logarithmic axis has no 0
-        lines = decimated({"events": BLUE}, t_s, lambda first, last: counts[first:last])
-        panels.append(Panel("Events per millisecond", "", lines, logarithmic=True))
-    if recording is not None and recording.has("truth"):
-
-        def forces(first: int, last: int) -> NDArray[Any]:
-            normal = recording.read("truth/normal_force_n", start + first, start + last)
-            shear = recording.read("truth/shear_force_n", start + first, start + last)
-            return np.stack((normal, np.hypot(shear[:, 0], shear[:, 1])), axis=1)
-
-        lines = decimated({"normal": INK, "shear": ORANGE}, t_s, forces)
-        panels.append(Panel("Forces on one pad, truth", "N", lines, simulated=True))
-        if recording.has("truth/tone_hz"):
-            lines = decimated({"tone": PINK}, t_s, rows_of(recording, "truth/tone_hz", start))
-            panels.append(Panel("Tone, truth", "Hz", lines, simulated=True))
-        else:
-
-            def shares(first: int, last: int) -> NDArray[Any]:
-                paths = ("truth/visible_slip_share", "truth/slip_share")
-                return np.stack([recording.read(path, start + first, start + last) for path in paths], axis=1)
-
-            lines = decimated({"that the camera sees": ORANGE, "whole": INK}, t_s, shares)
-            panels.append(Panel("Share of the contact that slips, truth", "", lines, simulated=True))
-    panels += of_touch
+        lines = decimated({"events": BLUE}, slice_times_s(*span), lambda first, last: counts[first:last])
+        panels.insert(0, Panel("Events per millisecond", "", lines, logarithmic=True))
     if tracks is not None:
-        rest = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
-
-        def moved(first: int, last: int) -> NDArray[Any]:
-            away = np.linalg.norm(tracks.read("dot_xy_px", start + first, start + last) - rest, axis=2)
-            # the position of a lost dot may be hundreds of px off: it is not a displacement of the gel
-            away[~np.isfinite(away) | (tracks.read("lost", start + first, start + last) > 0)] = np.nan
-            dot_count = np.maximum(np.isfinite(away).sum(axis=1), 1)
-            mean = np.where(np.isfinite(away).any(axis=1), np.nansum(away, axis=1) / dot_count, np.nan)
-            return np.stack((mean, np.fmax.reduce(away, axis=1, initial=np.nan)), axis=1)
-
-        lines = decimated({"mean": BLUE, "farthest": PINK}, t_s[: _length(tracks, "dot_xy_px", span)], moved)
-        panels.append(Panel("Dots, distance from rest", "px", lines))
+        panels.append(_dots(tracks, span))
     if labels is not None:
         panels.append(_flow(labels, span))
-    levels = {"threshold": float(trial.model.read("threshold"))} if trial.model is not None else {}
+    panels += _probability(trial, span, probability)
+    return [panel for panel in panels if panel.lines]
+
+
+def _truth(recording: Recording, span: tuple[int, int]) -> list[Panel]:
+    """Return the true forces of a simulation, and its true tone or slip; nothing for a real recording."""
+    if not recording.has("truth"):
+        return []
+    start, t_s = span[0], slice_times_s(*span)
+
+    def forces(first: int, last: int) -> NDArray[Any]:
+        normal = recording.read("truth/normal_force_n", start + first, start + last)
+        shear = recording.read("truth/shear_force_n", start + first, start + last)
+        return np.stack((normal, np.hypot(shear[:, 0], shear[:, 1])), axis=1)
+
+    def shares(first: int, last: int) -> NDArray[Any]:
+        paths = ("truth/visible_slip_share", "truth/slip_share")
+        return np.stack([recording.read(path, start + first, start + last) for path in paths], axis=1)
+
+    lines = decimated({"normal": INK, "shear": ORANGE}, t_s, forces)
+    panels = [Panel("Forces on one pad, truth", "N", lines, simulated=True)]
+    if recording.has("truth/tone_hz"):
+        lines = decimated({"tone": PINK}, t_s, rows_of(recording, "truth/tone_hz", start))
+        return [*panels, Panel("Tone, truth", "Hz", lines, simulated=True)]
+    lines = decimated({"that the camera sees": ORANGE, "whole": INK}, t_s, shares)
+    return [*panels, Panel("Share of the contact that slips, truth", "", lines, simulated=True)]
+
+
+def _dots(tracks: StageFile, span: tuple[int, int]) -> Panel:
+    """Return how far the tracked dots are from their places at rest."""
+    start = span[0]
+    rest = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
+
+    def moved(first: int, last: int) -> NDArray[Any]:
+        away = np.linalg.norm(tracks.read("dot_xy_px", start + first, start + last) - rest, axis=2)
+        # the position of a lost dot may be hundreds of px off: it is not a displacement of the gel
+        away[~np.isfinite(away) | (tracks.read("lost", start + first, start + last) > 0)] = np.nan
+        dot_count = np.maximum(np.isfinite(away).sum(axis=1), 1)
+        mean = np.where(np.isfinite(away).any(axis=1), np.nansum(away, axis=1) / dot_count, np.nan)
+        return np.stack((mean, np.fmax.reduce(away, axis=1, initial=np.nan)), axis=1)
+
+    t_s = slice_times_s(*span)[: _length(tracks, "dot_xy_px", span)]
+    return Panel("Dots, distance from rest", "px", decimated({"mean": BLUE, "farthest": PINK}, t_s, moved))
+
+
+def _probability(trial: OpenTrial, span: tuple[int, int], probability: NDArray[np.float32] | None) -> list[Panel]:
+    """Return the slip probability: of the given model, otherwise of the detector of a grasp, if any."""
+    recording, t_s = trial.recording, slice_times_s(*span)
     if probability is not None:
+        levels = {"threshold": float(trial.model.read("threshold"))} if trial.model is not None else {}
         column = probability[:, None]
         lines = decimated({"model": PINK}, t_s[: len(column)], lambda first, last: column[first:last])
-        panels.append(Panel("Slip probability, model", "", lines, levels))
-    elif recording is not None and recording.has("control/probability"):
-        lines = decimated({"detector": PINK}, t_s, rows_of(recording, "control/probability", start))
-        threshold = recording.header["parameters"].get("slip_threshold")
-        levels = {"threshold": float(threshold)} if isinstance(threshold, (int, float)) else {}
-        panels.append(Panel("Slip probability, detector while grasping", "", lines, levels))
-    return [panel for panel in panels if panel.lines]
+        return [Panel("Slip probability, model", "", lines, levels)]
+    if recording is None or not recording.has("control/probability"):
+        return []
+    lines = decimated({"detector": PINK}, t_s, rows_of(recording, "control/probability", span[0]))
+    threshold = recording.header["parameters"].get("slip_threshold")
+    levels = {"threshold": float(threshold)} if isinstance(threshold, (int, float)) else {}
+    return [Panel("Slip probability, detector while grasping", "", lines, levels)]
 
 
 def _flow(labels: StageFile, span: tuple[int, int]) -> Panel:
