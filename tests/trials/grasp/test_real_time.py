@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from evetac_cli.trials.grasp.controller_process import ControllerEnded, GripperR
 from evetac_cli.trials.grasp.detector_process import CameraReady, DetectorEnded, SliceBatch, joined, noise
 from evetac_cli.trials.grasp.loop import control_row
 from evetac_cli.trials.grasp.recorded_grasp import RecordedGrasp
+from evetac_cli.trials.grasp.recorder import GraspRecorder
 from evetac_cli.trials.session import LET_GO
 from evetac_cli.trials.trial import DeviceTrial
 from tests.trials.grasp.bench import goals_by_law
@@ -144,7 +145,7 @@ def recorder_is(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], None]:
     def put(record: Any) -> None:
         GraspProcesses.closed = 0
         monkeypatch.setattr(real_time, "GraspProcesses", GraspProcesses)
-        monkeypatch.setattr(real_time, "record", record)
+        monkeypatch.setattr(GraspRecorder, "record", record)
 
     return put
 
@@ -173,7 +174,7 @@ def test_motion_is_announced_when_all_is_ready(
     armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Assert that "moves now" is said once both processes are ready and the file is begun, and next is motion."""
-    recorder_is(lambda processes, world, writers, *more: some(writers[0], "the grasp is over"))
+    recorder_is(lambda self: some(self.writers[0], "the grasp is over"))
     grasp.run(armed[1], armed[0])
     ready, moves, go = capsys.readouterr().err.splitlines()[:3]
     assert (ready, go) == ("ready", "go")
@@ -190,7 +191,7 @@ def test_a_file_says_how_time_was_kept(
 
     The docs explain each figure of the row.
     """
-    recorder_is(lambda processes, world, writers, *more: some(writers[0], "the grasp is over"))
+    recorder_is(lambda self: some(self.writers[0], "the grasp is over"))
     row = grasp.run(armed[1], armed[0]).rows[0]
     assert GraspProcesses.closed
     assert (row["command_misses"], row["command_misses_by_gripper"]) == (3, 2)
@@ -212,7 +213,7 @@ def test_a_file_says_how_time_was_kept(
 def test_a_failure_says_what_was_saved(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]) -> None:
     """Assert that a failure is raised with what was saved, and that the file says it and how long torque stayed on."""
     failed = DeviceError("the camera is silent; torque is off")
-    recorder_is(lambda processes, world, writers, *more: some(writers[0], "the camera is silent", failed))
+    recorder_is(lambda self: some(self.writers[0], "the camera is silent", failed))
     with pytest.raises(DeviceError, match="silent(.|\n)*kept: .*1 slices in"):
         grasp.run(armed[1], armed[0])
     assert validate.run([armed[1].output]).rows[0]["faults"] is None
@@ -226,9 +227,9 @@ def test_m2_a_dead_controller_leaves_a_file_and_words(
 ) -> None:
     """Assert that a controller that died without a word ends in words of torque, and a file without its figures."""
 
-    def dies(processes: Any, world: Any, writers: Sequence[RecordingWriter], *more: Any) -> RecordedGrasp:
+    def dies(self: GraspRecorder) -> RecordedGrasp:
         died = DeviceError("the controller died (SIGKILL); torque is off (read back)")
-        recorded = some(writers[0], "the controller died (SIGKILL)", died)
+        recorded = some(self.writers[0], "the controller died (SIGKILL)", died)
         recorded.controller = None
         return recorded
 
@@ -241,7 +242,7 @@ def test_m2_a_dead_controller_leaves_a_file_and_words(
 
 def test_interrupted(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]) -> None:
     """Assert that Ctrl-C goes on as such, once the file is there."""
-    recorder_is(lambda processes, world, writers, *more: some(writers[0], "interrupted"))
+    recorder_is(lambda self: some(self.writers[0], "interrupted"))
     with pytest.raises(KeyboardInterrupt, match="torque is off: 1 slices"):
         grasp.run(armed[1], armed[0])
     assert validate.run([armed[1].output]).rows[0]["faults"] is None
@@ -250,7 +251,7 @@ def test_interrupted(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[An
 def test_nothing_happened(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]) -> None:
     """Assert that a grasp without a step leaves no file, and says why it ended."""
     failed = DeviceError("no answer")
-    recorder_is(lambda processes, world, writers, *more: some(writers[0], "no answer", failed, steps=0))
+    recorder_is(lambda self: some(self.writers[0], "no answer", failed, steps=0))
     with pytest.raises(DeviceError, match="no answer(.|\n)*nothing was recorded"):
         grasp.run(armed[1], armed[0])
     assert not armed[1].output.exists()
@@ -260,9 +261,9 @@ def test_nothing_happened(armed: tuple[Grasp, DeviceTrial], recorder_is: Callabl
 def test_a_full_disk(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[Any], None]) -> None:
     """Assert that what was written waits for repair, that it is said, and that no grasp is made over it."""
 
-    def fails(processes: Any, world: Any, writers: Sequence[RecordingWriter], *more: Any) -> None:
-        some(writers[0], "")
-        writers[0].close_segment()
+    def fails(self: GraspRecorder) -> None:
+        some(self.writers[0], "")
+        self.writers[0].close_segment()
         raise InputError("a segment cannot be written")
 
     recorder_is(fails)
