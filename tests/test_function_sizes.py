@@ -35,8 +35,8 @@ MANY = {
     "sim/setup/plan.py plans": "",
     "sim/gel/gel.py step": "",
     "sim/gel/contact.py force_curve": "",
-    "script_tables.py table_of": "",
-    "reproduce.py perform": "",
+    "studies/tables.py table_of": "",
+    "reproduce/run.py perform": "",
 }
 
 

@@ -5,38 +5,32 @@ A format is recognized by the file's content, not by its name. The checks that a
 
 import math
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from evetac_cli import names, plugins
 from evetac_cli.errors import InputError, cannot_read
 from evetac_cli.events import SLICE_US, Events, concatenate, empty
-from evetac_cli.formats.read import read_aedat2, read_numpy
+from evetac_cli.formats.read import read_aedat2, read_aedat4, read_hdf5, read_numpy, read_text
 from evetac_cli.formats.read.bags import read_rosbag
 from evetac_cli.formats.read.bags.bag_files import is_bag_folder
-from evetac_cli.formats.read.bags.read_rosbag import open_rosbag
 from evetac_cli.formats.read.column_order import assumption
 from evetac_cli.formats.read.prophesee import read_prophesee
-from evetac_cli.formats.read.prophesee.read_prophesee import open_prophesee
-from evetac_cli.formats.read.read_aedat4 import open_aedat4
-from evetac_cli.formats.read.read_hdf5 import open_hdf5
 from evetac_cli.formats.read.read_other_streams import Other, aedat4_streams, bag_streams
-from evetac_cli.formats.read.read_text import is_text_of_events, open_text
 from evetac_cli.formats.read.source import CleanEvents, EventSource, FrameUnknown, checked_frame
+from evetac_cli.formats.read.source import ImportFormat as ImportFormat
 from evetac_cli.formats.read.time_order import IN_ORDER, OrderOptions
 from evetac_cli.jobs import Progress, silent
 from evetac_cli.store.recordings.streams import Stream, free_name
 from evetac_cli.text_files import Steady
 
 EXPECTED = names.either(names.IMPORTS.values())
-HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
-HDF5_SIGNATURE_AT = (0, 512, 1024, 2048)  # a user block may come before it
 HEAD_BYTES = 4096
 LEAST_MARK = 4  # bytes that a plug-in's format must begin with: a shorter mark would occur in other files by chance
 BINARY_SUFFIXES = (".aedat4", ".h5", ".hdf5", ".bag", ".db3", ".mcap", ".raw", ".npy", ".npz", ".aedat", ".bin", ".es")
@@ -53,31 +47,15 @@ OPTIONS = {
     "columns": ("--columns", "files of four unnamed columns: text, numpy and HDF5"),
     "time_unit": ("--time-unit", "files that do not state their unit of time: text, numpy and HDF5"),
 }
-
-
-class ImportFormat(NamedTuple):
-    """The bytes that a file of the format begins with, their possible offsets, its reader, and the options (OPTIONS).
-
-    read: called with the path, the frame (width, height) or None, and the user's options; returns an EventSource. A
-    plug-in provides a row of this type. It is tried if no built-in format matches and the file begins with the mark.
-    """
-
-    begins: tuple[bytes, ...]
-    read: Callable[..., EventSource]
-    options: tuple[str, ...] = ()
-    at: tuple[int, ...] = (0,)
-
-
-BAG = ImportFormat(read_rosbag.SIGNS, open_rosbag, ("stream",))
-TEXT = ImportFormat((), open_text, ("columns", "time_unit"))  # may begin with anything, so it is tried last
+BAG, TEXT = read_rosbag.FORMAT, read_text.FORMAT
 FORMATS = {
-    "aedat4": ImportFormat((b"#!AER-DAT4",), open_aedat4, ("stream",)),
-    "aedat2": ImportFormat((read_aedat2.SIGN,), read_aedat2.open_aedat2),
-    "hdf5": ImportFormat((HDF5_SIGNATURE,), open_hdf5, ("stream", "columns", "time_unit"), at=HDF5_SIGNATURE_AT),
-    "numpy": ImportFormat((read_numpy.NPY, read_numpy.ZIP), read_numpy.open_numpy, ("stream", "columns", "time_unit")),
-    "prophesee": ImportFormat(read_prophesee.SIGNS, open_prophesee),
+    "aedat4": read_aedat4.FORMAT,
+    "aedat2": read_aedat2.FORMAT,
+    "hdf5": read_hdf5.FORMAT,
+    "numpy": read_numpy.FORMAT,
+    "prophesee": read_prophesee.FORMAT,
     "rosbag": BAG,
-    "text": TEXT,
+    "text": TEXT,  # may begin with anything, so it is tried last
 }
 
 # The readers of data other than events that is kept.
@@ -366,7 +344,7 @@ def _format(path: Path) -> ImportFormat:
     first_line = head.partition(b"\n")[0]
     binary = any(byte < 32 and byte not in b"\t\f\r" for byte in first_line)
     unusable: list[str] = []
-    if binary or not is_text_of_events(first_line.decode(errors="replace")):
+    if binary or not read_text.is_text_of_events(first_line.decode(errors="replace")):
         of_plugin = _format_of_plugin(head, unusable)
         if of_plugin is not None:
             return of_plugin

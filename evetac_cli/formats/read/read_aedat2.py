@@ -20,9 +20,15 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.read.clock import BITS_31, BITS_32, Clock
-from evetac_cli.formats.read.source import EventColumns, EventSource, at_index, checked_frame, choose_frame
+from evetac_cli.formats.read.source import (
+    EventColumns,
+    EventSource,
+    ImportFormat,
+    at_index,
+    checked_frame,
+    choose_frame,
+)
 
-SIGN = b"#!AER-DAT2"
 WORD = np.dtype([("address", ">u4"), ("t", ">u4")])
 BATCH_WORDS = 1 << 18
 LINE_LIMIT_BYTES = 1 << 16
@@ -163,3 +169,6 @@ def _batches(path: Path, start: int, count: int, chip: Chip, source: EventSource
 
 def _place(rows: NDArray[np.intp], row: int) -> str:
     return at_index(int(rows[row]), 0)
+
+
+FORMAT = ImportFormat((b"#!AER-DAT2",), open_aedat2)

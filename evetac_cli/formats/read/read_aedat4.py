@@ -20,7 +20,7 @@ from evetac_cli.formats.read.aedat4_packets import (
     read_header,
     walk,
 )
-from evetac_cli.formats.read.source import NOT_RECORDED, EventColumns, EventSource, at_index, choose_frame
+from evetac_cli.formats.read.source import NOT_RECORDED, EventColumns, EventSource, ImportFormat, at_index, choose_frame
 
 BATCH_EVENTS = 1 << 18  # a packet has some thousand events
 
@@ -128,3 +128,6 @@ def _columns(packets: list[Any], first: int) -> EventColumns:
     """Return the events of some packets; `first` is the index of the first event in the file."""
     t, x, y, on = (np.concatenate([events[name] for events in packets]) for name in ("t", "x", "y", "on"))
     return EventColumns(t, x.view(np.uint16), y.view(np.uint16), on != 0, partial(at_index, first))
+
+
+FORMAT = ImportFormat((b"#!AER-DAT4",), open_aedat4, ("stream",))

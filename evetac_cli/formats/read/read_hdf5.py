@@ -15,7 +15,14 @@ from evetac_cli.errors import InputError
 from evetac_cli.formats.note import CLOCK_LIMIT_US, NAME, Note, read_note
 from evetac_cli.formats.read.column_order import by_name, declared_order, declared_unit, places_of, refuse_columns
 from evetac_cli.formats.read.column_times import ColumnTimes
-from evetac_cli.formats.read.source import EventColumns, EventSource, at_index, check_lengths, choose_frame
+from evetac_cli.formats.read.source import (
+    EventColumns,
+    EventSource,
+    ImportFormat,
+    at_index,
+    check_lengths,
+    choose_frame,
+)
 from evetac_cli.store.hdf5.checked_hdf5 import CheckedHdf5, damage_in_words
 
 BATCH_ROWS = 1 << 20
@@ -202,3 +209,7 @@ def _t_offset(datasets: dict[str, Any], where: str) -> int:
             raise InputError("`t_offset` is out of range", where=where, expected=expected, found=f"{value} us")
         return value
     return 0
+
+
+SIGNATURE, SIGNATURE_AT = b"\x89HDF\r\n\x1a\n", (0, 512, 1024, 2048)  # a user block may come before it
+FORMAT = ImportFormat((SIGNATURE,), open_hdf5, ("stream", "columns", "time_unit"), SIGNATURE_AT)

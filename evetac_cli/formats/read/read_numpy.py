@@ -33,7 +33,14 @@ from evetac_cli.formats.read.column_order import (
 )
 from evetac_cli.formats.read.column_times import ColumnTimes
 from evetac_cli.formats.read.damage import read_in_words, refuse_too_much
-from evetac_cli.formats.read.source import EventColumns, EventSource, at_index, check_lengths, choose_frame
+from evetac_cli.formats.read.source import (
+    EventColumns,
+    EventSource,
+    ImportFormat,
+    at_index,
+    check_lengths,
+    choose_frame,
+)
 
 NPY, ZIP = b"\x93NUMPY", b"PK\x03\x04"
 BATCH_ROWS = 1 << 18
@@ -180,3 +187,6 @@ def _batches(columns: list[NDArray[Any]], times: ColumnTimes) -> Iterator[EventC
         t, x, y, p = (np.asarray(column[start : start + BATCH_ROWS]) for column in columns)
         place = partial(at_index, start)
         yield EventColumns(times.us(t, place), x, y, p, place)
+
+
+FORMAT = ImportFormat((NPY, ZIP), open_numpy, ("stream", "columns", "time_unit"))

@@ -32,7 +32,7 @@ from evetac_cli.formats.read.column_order import (
     refuse_columns,
 )
 from evetac_cli.formats.read.column_times import ColumnTimes
-from evetac_cli.formats.read.source import EventColumns, EventSource, choose_frame, no_events
+from evetac_cli.formats.read.source import EventColumns, EventSource, ImportFormat, choose_frame, no_events
 
 BLOCK_CHARS = 1 << 22  # some 200,000 lines
 LINE_LIMIT_CHARS = 1 << 16
@@ -262,3 +262,6 @@ def _table(path: Path, number: int, lines: list[str], layout: TextLayout) -> NDA
 
 def _clip(line: str) -> str:
     return repr(line if len(line) <= 80 else line[:77] + "...")
+
+
+FORMAT = ImportFormat((), open_text, ("columns", "time_unit"))

@@ -70,6 +70,20 @@ class EventSource:
     guessed_order: str = ""  # of unnamed columns
 
 
+class ImportFormat(NamedTuple):
+    """The bytes that a file of the format begins with, their possible offsets, its reader, and its options.
+
+    read: called with the path, the frame (width, height) or None, and the user's options; returns an EventSource.
+    options: which of stream, columns and time_unit it takes. A plug-in provides a row of this type. It is tried if no
+    built-in format matches and the file begins with the mark.
+    """
+
+    begins: tuple[bytes, ...]
+    read: Callable[..., EventSource]
+    options: tuple[str, ...] = ()
+    at: tuple[int, ...] = (0,)
+
+
 def at_index(start: int, row: int) -> str:
     """Return a text on the position of an event in a file that has no lines: its index, counted from 0."""
     return f"at index {start + row}"

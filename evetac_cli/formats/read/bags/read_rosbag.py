@@ -33,9 +33,8 @@ from evetac_cli.formats.read.bags.ros_messages import (
 )
 from evetac_cli.formats.read.prophesee.encodings import ENCODINGS
 from evetac_cli.formats.read.prophesee.read_prophesee import decoded
-from evetac_cli.formats.read.source import NOT_RECORDED, EventColumns, EventSource, choose_frame
+from evetac_cli.formats.read.source import NOT_RECORDED, EventColumns, EventSource, ImportFormat, choose_frame
 
-SIGNS = tuple(BAGS)
 EVENTS_TOPIC, NOTE_TOPIC = "/evetac/events", "/evetac/note"  # in exports of evetac
 NOTE_TYPE = "std_msgs/msg/String"
 SIMULATED_START_US = 1_000_000  # a first time of 0 is one if the next is at most this
@@ -281,3 +280,6 @@ class _EventTimes:
 
 def _stamp_us(connection: Connection, message: bytes) -> int:
     return Fields(message, ros2=connection.ros2).header()
+
+
+FORMAT = ImportFormat(tuple(BAGS), open_rosbag, ("stream",))

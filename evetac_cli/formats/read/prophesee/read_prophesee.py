@@ -26,10 +26,9 @@ from evetac_cli.formats.note import CLOCK_LIMIT_US, NAME, Note, read_note
 from evetac_cli.formats.read.clock import BITS_32, Clock
 from evetac_cli.formats.read.prophesee.encodings import ENCODINGS
 from evetac_cli.formats.read.prophesee.prophesee_words import PropheseeDecoder
-from evetac_cli.formats.read.source import EventColumns, EventSource, at_index, choose_frame
+from evetac_cli.formats.read.source import EventColumns, EventSource, ImportFormat, at_index, choose_frame
 from evetac_cli.store.recordings.streams import Stream
 
-SIGNS = (b"% evt", b"% format", b"% date", b"% camera", b"% integrator", b"% Data", b"% Version", b"% Width", b"% Date")
 OFFSET = "t_offset_us"  # the key of a line that evetac writes
 OFFSETS = (OFFSET, "t0")
 HEAD_LIMIT_BYTES = BLOCK_BYTES = 1 << 20
@@ -204,3 +203,7 @@ def _dat(
         yield EventColumns(t, x, y, p, place)
         done += len(words)
     source.notes += clock.notes
+
+
+SIGNS = (b"% evt", b"% format", b"% date", b"% camera", b"% integrator", b"% Data", b"% Version", b"% Width", b"% Date")
+FORMAT = ImportFormat(SIGNS, open_prophesee)
