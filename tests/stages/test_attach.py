@@ -36,7 +36,6 @@ from rosbags.typesys import Stores, get_typestore
 ROOT = Path(__file__).resolve().parents[2]
 START_S = 1_700_000_000  # of the recording, in the clock of its event file
 SLICES = 100
-BAGS = ("ros1", "db3", "mcap")
 
 
 @pytest.fixture
@@ -367,34 +366,3 @@ def test_what_is_asked_for_wrongly(
     bag(tmp_path, "ros1")
     with pytest.raises((InputError, FileNotFoundError), match=said):
         attached(recording, *stream, offset=offset)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["csv", "parquet", "ros1", "mcap"])
-def test_damaged_files_are_refused_in_words(recording: Path, tmp_path: Path, kind: str) -> None:
-    """Assert that of 150 damaged files each is read or refused in words."""
-    import pandas
-
-    source = pose_csv(tmp_path)
-    if kind == "parquet":
-        pandas.read_csv(source).to_parquet(tmp_path / "pose.parquet")
-        source = tmp_path / "pose.parquet"
-    if kind in BAGS:
-        source = bag(tmp_path, kind)
-    file = next(source.glob("*.mcap")) if source.is_dir() else source
-    whole = file.read_bytes()
-    rng = np.random.default_rng(17)
-    topic = ":/packed" if kind in BAGS else ""
-    outcomes = {"read": 0, "refused": 0}
-    for number in range(150):
-        damaged = bytearray(whole)
-        for at in rng.integers(0, len(whole), 1 + number % 8).tolist():
-            damaged[at] = int(rng.integers(0, 256))
-        file.write_bytes(bytes(damaged) if number % 5 else whole[: int(rng.integers(0, len(whole)))])
-        try:
-            output, _ = attached(recording, f"arm={source}{topic}", force=True)
-            assert [row["faults"] for row in validate.run([output]).rows] == [None]
-            outcomes["read"] += 1
-        except InputError:
-            outcomes["refused"] += 1
-    assert min(outcomes.values()) > 0

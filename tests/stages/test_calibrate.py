@@ -349,24 +349,6 @@ def test_thresholds_that_differ_by_polarity(tmp_path: Path, events: Events, trut
     assert worst_px(made, truth) < 1.0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("frame_px", "within_px"),
-    [((320, 240), 0.5), ((346, 260), 0.6), ((240, 180), 0.6)],  # 0.6: of the original's pixels not all weigh the same
-)
-def test_smaller_frames(
-    tmp_path: Path, events: Events, truth: Grid, frame_px: tuple[int, int], within_px: float
-) -> None:
-    """Assert that a smaller frame, with smaller dots, is calibrated just so: that of a DAVIS, for example."""
-    scale = np.array(frame_px) / (640, 480)
-    x, y = ((place * factor).astype(np.uint16) for place, factor in zip(events[1:3], scale, strict=True))
-    row, made = calibrated(recorded(tmp_path / "small.recording.h5", Events(events.t, x, y, events.p), frame_px))
-    assert (row["dots"], row["missing_dots"], row["notes"]) == (63, 0, None)
-    assert read_calibration(made).frame_px == frame_px
-    assert worst_px(made, (truth + 0.5) * scale - 0.5) < within_px
-    assert row["radius_px"] == pytest.approx(14.4 * scale.mean(), abs=0.5)
-
-
 def test_larger_frame(
     halves: tuple[RestImage, RestImage], tmp_path: Path, truth: Grid, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,9 +12,8 @@ import pytest
 
 from evetac_cli.errors import InputError
 from evetac_cli.store import index
-from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5 import disk
-from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.made_folders import new_folder, require_replaceable
 from tests import small_files
 from tests.conftest import Made
@@ -169,42 +168,6 @@ def written(text: str) -> Callable[[Path], None]:
     return lambda path: path.write_text(text) and None
 
 
-def pipe(path: Path) -> None:
-    path.unlink()
-    os.mkfifo(path)
-
-
-def a_folder(path: Path) -> None:
-    path.unlink()
-    path.mkdir()
-
-
-DAMAGE: dict[str, Callable[[Path], None]] = {
-    "a number for a text": changed(scene=7),
-    "a table for a text": changed(sensor={"a": 1}),
-    "text": written("my notes"),
-    "another format": written('{"format": 5, "rows": []}'),
-    "too few columns": written(f'{{"format": {index.FORMAT}, "rows": [["a.recording.h5"]]}}'),
-    "deep lists": written("[" * 100_000),
-    "too large": lambda path: os.truncate(path, index.MOST_BYTES + 1),
-    "a pipe": pipe,
-    "a folder": a_folder,
-}
-
-
-@pytest.mark.parametrize("name", DAMAGE)
-def test_a_damaged_index_is_not_used(name: str, two: Path) -> None:
-    """Assert that the files are read instead, and that it is replaced if it is a file."""
-    right = index.read_index(two).rows
-    path = two / index.NAME
-    DAMAGE[name](path)
-    is_replaced = path.is_file() or path.is_symlink()
-    now = index.read_index(two)
-    assert (now.rows, now.read, now.stored) == (right, 2, is_replaced)
-    now = index.read_index(two)
-    assert (now.rows, now.read) == (right, 0 if is_replaced else 2)
-
-
 def test_any_damage_to_an_index(two: Path) -> None:
     """Assert that whatever bytes are changed, each file has its row."""
     right = index.read_index(two).rows
@@ -217,19 +180,6 @@ def test_any_damage_to_an_index(two: Path) -> None:
             damaged[at] = rng.integers(256)
         path.write_bytes(damaged)
         assert [row[:4] for row in index.read_index(two).rows] == [row[:4] for row in right]
-
-
-def test_what_a_header_says_is_text_that_can_be_kept(tmp_path: Path) -> None:
-    """Assert that names of sensors and scenes that are no UTF-8, or are long, have a row, as text."""
-    parameters = {"sensor": "\udcff", "scene": {"name": "s" * 10_000}, "object": "\ud800", "trial": "three"}
-    small_files.recording(tmp_path / "b.recording.h5")
-    with StageFile(tmp_path / "b.recording.h5") as file:
-        arrays = {name: file.read(name) for name in file.contents()}
-    write_stage(tmp_path / "a.recording.h5", Recipe("recording", 1, parameters, seed=2**70), arrays)
-    first, _ = index.read_index(tmp_path).rows
-    assert (first.sensor, first.object, first.seed, first.trial) == ("\\udcff", "\\ud800", str(2**70), None)
-    assert first.scene is not None and 100 < len(first.scene) < 1000
-    assert index.read_index(tmp_path).read == 0
 
 
 def test_an_index_in_a_folder_that_evetac_made_is_no_strangers_file(tmp_path: Path) -> None:

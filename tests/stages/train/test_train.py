@@ -23,7 +23,6 @@ from evetac_cli.store.layout.provenance import Recipe
 from tests.make import run_stage
 
 SLICES, ONSET = 170, 130
-NETWORKS = 4  # of the model of the package
 
 
 def features_file(
@@ -490,27 +489,6 @@ def test_a_trained_model_is_adapted(trials: list[Path], tmp_path: Path) -> None:
     (known,) = train.jobs(trials[2:], adapt, tmp_path / "known.model.h5")
     with pytest.raises(InputError, match="validated on"):  # the model to adapt knows what would judge it
         train.run(known, adapt)
-
-
-@pytest.mark.parametrize(
-    ("given", "wanted"),
-    [
-        ({}, ("hist10", 0, "paper", 40000, 1)),
-        (
-            {"model": "no-hist", "horizon_ms": 5, "preset": "adamw", "max_steps": 7, "networks": 2},
-            ("no-hist", 5, "adamw", 7, 2),
-        ),
-        ({"adapt": "shipped"}, ("disp-xy-grip", 10, "adapt", 1000, NETWORKS)),
-        ({"adapt": "shipped", "max_steps": 40000}, ("disp-xy-grip", 10, "adapt", 40000, NETWORKS)),
-        (
-            {"adapt": "shipped", "model": "disp-xy-grip", "horizon_ms": 10},
-            ("disp-xy-grip", 10, "adapt", 1000, NETWORKS),
-        ),
-    ],
-)
-def test_settings_are_what_was_said(given: dict[str, Any], wanted: tuple[str, int, str, int, int]) -> None:
-    """Assert that a flag that is given counts, also where it says the usual value, and the rest follows --adapt."""
-    assert tuple(train._settings(Train(**given))[0]) == wanted
 
 
 @pytest.mark.parametrize(

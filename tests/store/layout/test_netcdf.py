@@ -100,16 +100,6 @@ def test_xarray_reads_every_kind(tmp_path: Path, kind: str) -> None:
         ]
 
 
-@pytest.mark.parametrize("length", [0, 1])
-def test_xarray_reads_empty_files(tmp_path: Path, length: int) -> None:
-    """Assert that no slices, no events and no commands are dimensions of length 0 as any other."""
-    arrays = every_dataset("recording", dict.fromkeys(("slices", "events", "commands", "gaps"), length))
-    read = in_xarray(written(tmp_path / "a.h5", "recording", arrays))
-    assert read["events/t"].sizes == {"events": length}
-    assert read["ms_to_idx"].sizes == {"slice_edges": length + 1}
-    assert read["capture/lost_slices"].sizes == {"gaps": length, "first_end": 2}
-
-
 @pytest.mark.slow
 def test_files_of_every_stage(made: Made) -> None:
     """Assert that xarray reads what stages write, and the package's model, as evetac does, labelled and simulated."""
@@ -160,17 +150,6 @@ def test_header_in_words(tmp_path: Path) -> None:
             "simulated": "yes",
             "source": "simulated data",
         }
-
-
-def test_header_in_words_of_other_sources(tmp_path: Path) -> None:
-    """Assert that measured data is not called simulated, and that a huge seed and many parents are no trouble."""
-    parents = tuple(Recipe("features", 1, {}, seed=seed).header() for seed in range(50))
-    with h5py.File(written(tmp_path / "a.h5", "labels", LABELS, seed=2**70, parents=parents)) as h5:
-        assert (h5.attrs["simulated"], h5.attrs["source"]) == ("no", "data from devices or other programs")
-        assert h5.attrs["title"] == schema.load("labels").meaning
-        assert h5.attrs["seed"] == str(2**70)
-    with h5py.File(written(tmp_path / "b.h5", "labels", LABELS, seed=None, content="0" * 64)) as h5:
-        assert "seed" not in h5.attrs
 
 
 @pytest.fixture
