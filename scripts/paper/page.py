@@ -26,12 +26,11 @@ def as_answer(results: Path, as_table: AsTable) -> str:
     of_methods = counts([entry for entry in entries if entry["kind"] == "method"])
     others = sum(entry["kind"] == NOT_APPLICABLE for entry in entries)
     total = sum(of_figures.values())
-    figures = ", ".join(f"{count} {name}" for name, count in of_figures.items())
     methods = ", ".join(f"{count} {name}" for name, count in of_methods.items())
     inside, direction, missed = (of_figures.get(name, 0) for name in (INSIDE, DIRECTION, MISSED))
     return (
         f"**Of {total} figures and comparisons of the paper, {inside} are inside their spread in the simulation,"
-        f" {direction} more have the right direction, and {missed} are not reproduced.** In detail: {figures}. Of"
+        f" {direction} more have the right direction, and {missed} are not reproduced.** Of"
         f" {sum(of_methods.values())} methods: {methods}. {others} rows are not applicable.\n"
     )
 
