@@ -31,6 +31,11 @@ class Column:
     short: str = ""  # in tables on a terminal, if another
 
     @property
+    def title(self) -> str:
+        """Its heading on a page."""
+        return self.heading or self.name.replace("_", " ")
+
+    @property
     def in_words(self) -> str:
         """Its meaning, with its unit."""
         return f"{self.meaning} [{self.unit}]" if self.unit else self.meaning

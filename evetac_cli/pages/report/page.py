@@ -116,10 +116,7 @@ def _section(subject: Subject, studies: Sequence[Study]) -> str:
 
 def _legend(columns: Iterable[Column]) -> str:
     """Return the meaning of columns, folded; empty without any."""
-    rows = [
-        f"<dt>{html.escape(column.heading or column.name)}</dt><dd>{html.escape(column.in_words)}</dd>"
-        for column in columns
-    ]
+    rows = [f"<dt>{html.escape(column.title)}</dt><dd>{html.escape(column.in_words)}</dd>" for column in columns]
     heads = "<summary>What the columns mean</summary>"
     return f"<details class='legend'>{heads}<dl>{''.join(rows)}</dl></details>" if rows else ""
 
