@@ -17,11 +17,12 @@ import typer
 
 from evetac_cli.cli.main import app
 from evetac_cli.evaluate.common.marks import MARKS
+from evetac_cli.evaluate.subjects import PAPER
 from evetac_cli.store.layout import schema
 from evetac_cli.trials.record import simulated
 from scripts import first_hour
 from scripts.docs import figures
-from scripts.reproduce import results
+from scripts.reproduce import results, table_text
 from scripts.reproduce.plan import EXPERIMENTS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -128,7 +129,7 @@ def test_every_table_has_a_file() -> None:
     """Assert that tables on pages have files, that none stands twice, and that an experiment's kept tables have one."""
     places = re.findall(r"<!-- table ([\w-]+) -->", "".join(PAGES.values()))
     assert len(places) == len(set(places))
-    made = {"summary", results.FREEZE, *results.LIKENESS, *results.OF_SCRIPTS}
+    made = {"summary", results.FREEZE, *results.OF_ROWS}
     assert made <= set(places) <= made | {path.stem for path in RESULTS}
     tables = [table for experiment in EXPERIMENTS for table in experiment.tables]
     assert {table.name for table in tables if table.kept} <= {path.stem for path in RESULTS}
@@ -151,12 +152,12 @@ def unlike_the_paper(result: dict[str, Any]) -> list[str]:
     found = []
     for row in result["rows"]:
         for column in (*result["columns"], *([result["across"]] if result["across"] else [])):
-            names = results.keys(column.get("paper", ""))
-            if not set(names) <= results.PAPER.columns.keys() or re.sub(r"{.*?}|sd|[,% ]", "", column.get("paper", "")):
+            names = table_text.keys(column.get("paper", ""))
+            if not set(names) <= PAPER.columns.keys() or re.sub(r"{.*?}|sd|[,% ]", "", column.get("paper", "")):
                 found.append(f"{column['heading']}: {column['paper']}")
                 continue
-            stored = results.fill(column.get("paper", ""), row)
-            shown, mark = results.published(column, row, result)
+            stored = table_text.fill(column.get("paper", ""), row)
+            shown, mark = table_text.published(column, row, result)
             if shown != stored or (mark not in MARKS if stored else mark != ""):
                 found.append(f"{column['heading']}: {stored}, {mark}")
     return found

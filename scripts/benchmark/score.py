@@ -36,8 +36,9 @@ from evetac_cli.store.recordings.trial_writer import TrialBuffer
 from evetac_cli.trials import grasp
 from evetac_cli.trials.grasp.loop import grasp_slices
 from evetac_cli.trials.grasp.settings import SimulatedGrasp
+from scripts.reproduce.facts import RESULTS
+from scripts.reproduce.made_tables import table_of, write
 from scripts.studies.grip import oracle as grip_oracle
-from scripts.studies.tables import RESULTS, table_of, write
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "benchmark_counts.py"
 CHANCE_SEED = 95_999

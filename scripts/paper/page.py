@@ -1,11 +1,11 @@
 """Write the tables of docs/evidence/paper.md from the rows of rows.py."""
 
 import string
-from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from evetac_cli.jobs import Row
 from scripts.paper.rows import DIRECTION, INSIDE, MISSED, NOT_APPLICABLE, NOT_YET, counts, filled, read
+from scripts.reproduce.table_text import as_table
 
 # The topics of the paper, by the number of their first row.
 TOPICS = {
@@ -16,10 +16,9 @@ TOPICS = {
     69: "Slip detection",
     91: "Grasps",
 }
-AsTable = Callable[[list[str], Iterable[list[str]]], str]
 
 
-def as_answer(results: Path, as_table: AsTable) -> str:
+def as_answer(results: Path) -> str:
     """Return the sentences that answer how much of the paper is reproduced."""
     entries = filled(read(), results)["rows"]
     of_figures = counts([entry for entry in entries if entry["kind"] == "figure"])
@@ -35,7 +34,7 @@ def as_answer(results: Path, as_table: AsTable) -> str:
     )
 
 
-def as_topics(results: Path, as_table: AsTable) -> str:
+def as_topics(results: Path) -> str:
     """Return the number of figures by verdict for each topic of the paper."""
     figures = [entry for entry in filled(read(), results)["rows"] if entry["kind"] == "figure"]
     lines = []
@@ -46,7 +45,7 @@ def as_topics(results: Path, as_table: AsTable) -> str:
     return as_table(["of the paper", "figures", INSIDE, DIRECTION, MISSED], lines) + "\n"
 
 
-def as_missed(results: Path, as_table: AsTable) -> str:
+def as_missed(results: Path) -> str:
     """Return the reasons why figures are not reproduced, each with its rows, and what was not tried."""
     rows = filled(read(), results)["rows"]
     reasons: dict[str, list[str]] = {}
@@ -56,7 +55,7 @@ def as_missed(results: Path, as_table: AsTable) -> str:
     return "\n".join(f"- **{', '.join(numbers)}**: {why}." for why, numbers in reasons.items()) + "\n"
 
 
-def as_figures(results: Path, as_table: AsTable) -> str:
+def as_figures(results: Path) -> str:
     """Return the table of all figures."""
     figures = [
         [
@@ -69,7 +68,7 @@ def as_figures(results: Path, as_table: AsTable) -> str:
     return as_table(["row", "what", "paper", "evetac, simulated", "mark", "verdict"], figures) + "\n"
 
 
-def as_methods(results: Path, as_table: AsTable) -> str:
+def as_methods(results: Path) -> str:
     """Return the table of all methods."""
     methods = [
         [_number(one), one["what"], f"`{one['module']}`", _method(one)]
@@ -108,7 +107,7 @@ def _ours(entry: Row) -> str:
     return f"{found['ours']:.3g}" + (f" ({ends[0]:.3g} to {ends[1]:.3g})" if ends else "")
 
 
-AS_PAGES = {
+PAGES = {
     "paper-answer": as_answer,
     "paper-topics": as_topics,
     "paper-not-reproduced": as_missed,

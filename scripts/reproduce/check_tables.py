@@ -5,6 +5,10 @@ docs/results/models and judged on these trials; one training of one seed is repe
 network. The check then says, for each figure, whether it came out equal, or whether the stored figure is in the
 interval of the check. Of many figures, one in twenty is outside such an interval by chance.
 
+Of an experiment's commands, only those are run that the table is made from. Commands depend on each other by folders:
+one writes files to `--out`, or next to its inputs, and others name that folder. A name that might be a folder counts as
+one, so that a step too many may be chosen, but never one too few.
+
 Each finished check is stored in OUT/checks/TABLE.json, with the digest of the table that it checked. Another run
 continues with the others, and repeats a check whose table has changed.
 """
@@ -13,28 +17,93 @@ import hashlib
 import json
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import nullcontext, redirect_stdout
 from dataclasses import dataclass, replace
-from pathlib import Path
+from fnmatch import fnmatchcase
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from evetac_cli.jobs import Row
 from scripts.reproduce import compare, frozen
-from scripts.reproduce import run as reproduce
-from scripts.reproduce.checks import CHECKS, NOT_CHECKED, SCRIPTS, SIZES, Check, ScriptCheck
-from scripts.reproduce.made_tables import Refusal, commit
-from scripts.reproduce.needed import experiment_of, needed, only_for
-from scripts.reproduce.plan import EXPERIMENTS, Experiment
-from scripts.reproduce.run import MODELS, RESULTS
-from scripts.reproduce.run_command import expand, run_command
-from scripts.reproduce.run_facts import hours, model_files, spending
+from scripts.reproduce.checks import CHECKS, NOT_CHECKED, SCRIPTS, SIZES
+from scripts.reproduce.experiment import Check, Experiment, ScriptCheck
+from scripts.reproduce.facts import RESULTS, Refusal, commit_facts, hours, model_files, report_header, spending
+from scripts.reproduce.perform import MODELS, Run, evaluate, expand, in_order, perform, run_command, sizes_for
+from scripts.reproduce.plan import EXPERIMENTS
 from scripts.reproduce.steps import Command, Sizes
 from scripts.reproduce.tables import Evaluation, Table
 from scripts.ship.strip_model import digest, unpack
 
 AGAIN = "again"  # folder of the models that a check trains
 CORES = 2
+
+
+def _names(words: Sequence[str]) -> Iterator[tuple[str, bool]]:
+    """Yield the folder of each file that a command reads, True, and each other word that might be a folder, False."""
+    for before, word in zip(words[1:], words[2:], strict=False):
+        name = word.partition("=")[2] if word.startswith("--") else word
+        if name and before != "--out":
+            is_file = "*" in name or name.endswith(".h5")
+            yield (str(PurePosixPath(name).parent) if is_file else name), is_file
+
+
+def named_folders(words: Sequence[str]) -> set[str]:
+    """Return the folders of the files that a command reads, and every other word that might be a folder."""
+    return {name for name, _ in _names(words)}
+
+
+def out_folders(words: Sequence[str]) -> set[str]:
+    """Return the folder that a command writes to, as a pattern; the folders of its inputs if it has no `--out`."""
+    if "--out" in words:
+        out = words[words.index("--out") + 1]
+        return {str(PurePosixPath(out).parent) if out.endswith(".h5") else out}
+    return {name for name, is_file in _names(words) if is_file}
+
+
+def _serves(made: str, need: str) -> bool:
+    return fnmatchcase(made, need) or fnmatchcase(need, made) or made.startswith(f"{need}/")
+
+
+def needed(steps: Iterable[Command], readers: Iterable[Command]) -> list[Command]:
+    """Return the steps, in order, whose files the readers need, directly or through other steps.
+
+    Programs of this folder (`python ...`) are always needed.
+    """
+    wanted = {folder for words in readers for folder in named_folders(words)}
+    chosen: list[Command] = []
+    for words in reversed(list(steps)):
+        if words[0] == "python" or any(_serves(made, need) for made in out_folders(words) for need in wanted):
+            chosen.append(words)
+            wanted |= named_folders(words)
+    return chosen[::-1]
+
+
+def experiment_of(name: str) -> tuple[Experiment, Table]:
+    """Return the experiment that makes a table, and the table; KeyError if none does."""
+    for experiment in EXPERIMENTS:
+        for table in experiment.tables:
+            if table.name == name:
+                return experiment, table
+    raise KeyError(name)
+
+
+def only_for(experiment: Experiment, table: Table) -> Experiment:
+    """Return the experiment with nothing but the table, its evaluations and the steps that these need."""
+
+    def evaluations(sizes: Sizes) -> dict[str, Command]:
+        every = experiment.evaluations(sizes)
+        chosen = {name: words for name, words in every.items() if name in table.evaluations}
+        read = (word for words in chosen.values() for word in words if word.endswith(".report.h5"))
+        reports = {word.removesuffix(".report.h5") for word in read}
+        return {name: words for name, words in every.items() if name in chosen or name in reports}
+
+    def steps(sizes: Sizes) -> Iterator[Command]:
+        yield from needed(experiment.steps(sizes), evaluations(sizes).values() if table.evaluations else ())
+
+    if experiment.measure:
+        return replace(experiment, tables=(table,))
+    return replace(experiment, tables=(table,), steps=steps, evaluations=evaluations)
 
 
 def archive_of(words: Command) -> Path | None:
@@ -134,10 +203,10 @@ def make(name: str, out: Path, results: Path, given: dict[str, str] | None = Non
         experiment, table = experiment_of(name)
     except KeyError:
         raise Refusal(f"no experiment makes the table {name}; run.py --list has those that one makes") from None
-    for earlier in reproduce.in_order(experiment.after):
-        reproduce.perform(earlier, dict(earlier.full), out, results, **how)
-    sizes = reproduce.sizes_for(experiment, small=False, given=given or {})
-    reproduce.perform(only_for(experiment, table), sizes, out, results, **how)
+    for earlier in in_order(experiment.after):
+        perform(earlier, dict(earlier.full), out, results, **how)
+    sizes = sizes_for(experiment, small=False, given=given or {})
+    perform(only_for(experiment, table), sizes, out, results, **how)
     path = RESULTS / f"{name}.json"
     if not path.exists():
         print(f"{name}: docs/results has no such table yet")
@@ -183,7 +252,7 @@ def carried_out(chosen: Plan, out: Path, **how: Any) -> Row:
     began = time.time()
     placed = [path for target, archive in chosen.archives.items() for path in unpack(archive, folder / target)]
     results = out / "checks" / "tables"
-    evaluations = reproduce.perform(chosen.experiment, chosen.sizes, out, results, replace=True, **how)
+    evaluations = perform(chosen.experiment, chosen.sizes, out, results, replace=True, **how)
     kept = json.loads((RESULTS / f"{name}.json").read_text())
     made = json.loads((results / f"{name}.json").read_text())
     used = {one: evaluations[one] for one in chosen.table.evaluations if one in evaluations}
@@ -204,7 +273,7 @@ def compared_with(name: str, made: list[Row], trials: list[Row], check: Check, b
     return {
         "table": name,
         "table_sha256": table_digest(name),
-        "commit": commit()[0],
+        "commit": commit_facts()["commit"],
         "frozen": kept.get("frozen"),
         "took_min": round((time.time() - began) / 60, 1),
         "differences": compare.differences(made, kept["rows"], check),
@@ -212,7 +281,7 @@ def compared_with(name: str, made: list[Row], trials: list[Row], check: Check, b
     }
 
 
-def by_script(name: str, chosen: ScriptCheck, out: Path, run: reproduce.Run = run_command) -> Row:
+def by_script(name: str, chosen: ScriptCheck, out: Path, run: Run = run_command) -> Row:
     """Make a table again by its own script, on fewer trials, and return the comparison."""
     folder, began = out / "scripts" / name, time.time()
     (folder / "tables").mkdir(parents=True, exist_ok=True)
@@ -234,7 +303,7 @@ def models_differing(named: dict[str, str], placed: list[Path]) -> list[str]:
 
 
 def training(
-    chosen: Plan, placed: list[Path], folder: Path, kept: list[Row], used: dict[str, Evaluation], run: reproduce.Run
+    chosen: Plan, placed: list[Path], folder: Path, kept: list[Row], used: dict[str, Evaluation], run: Run
 ) -> Row:
     """Compare the model that was trained again with the frozen ones; judge it where it is another network."""
     assert chosen.again is not None
@@ -252,7 +321,7 @@ def training(
         at = words.index("--model") + 1
         end = next((place for place in range(at, len(words)) if words[place].startswith("--")), len(words))
         alone = [*words[:at], str(path.relative_to(folder)), *words[end:]]
-        judged = reproduce.evaluate(f"{AGAIN}-{name}", alone, folder, run, reproduce.report_header)
+        judged = evaluate(f"{AGAIN}-{name}", alone, folder, run, report_header)
         evaluations = {name: judged}
         assert chosen.check.trials is not None
         made = chosen.table.rows(evaluations)

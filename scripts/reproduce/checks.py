@@ -4,60 +4,19 @@ check_tables.py runs the checks. The sizes are about a tenth of the experiment's
 trials are all repeated must come out equal. Where the whole experiment takes minutes, it is repeated whole.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 from evetac_cli.jobs import Rows
-from scripts.reproduce.steps import ROOT, Command, Sizes, script
+from scripts.reproduce.experiment import Check, Figure
+from scripts.reproduce.plan import STUDIES
+from scripts.reproduce.steps import Sizes
 from scripts.reproduce.tables import RECIPE_CHANGED, Evaluations, grasp_rows, object_rows
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A figure that is judged: the column `above`, or the ratio of two columns, summed over trials.
-
-    A mean over trials needs no second column.
-
-    - squared: the figure is a root mean square, so that squares are averaged.
-    - count: in a table without rows of trials, the column with the number of trials of a share.
-    """
-
-    above: str
-    below: str = ""
-    count: str = ""
-    squared: bool = False
-
-    @property
-    def name(self) -> str:
-        return f"{self.above}/{self.below}" if self.below else self.above
-
-
-@dataclass(frozen=True)
-class Check:
-    """How a table is checked.
-
-    - key: the columns by which its rows are matched, also the rows of single trials.
-    - trials: returns a row per trial, with the columns of `key` and of the figures, and with `unit`: the object, sensor
-      or recording that is resampled. Without it, the figures of the table itself must be ratios of counts, or shares of
-      a count.
-    - training: words of the command that trains again, for a table with frozen models.
-    - unpromised: columns of figures that no run repeats, such as run times.
-    """
-
-    key: tuple[str, ...]
-    figures: tuple[Figure, ...] = ()
-    trials: Callable[[Evaluations], Rows] | None = None
-    training: tuple[str, ...] = ()
-    unpromised: tuple[str, ...] = ()
-
 
 # Sizes of the experiments of which a part is repeated; the others are repeated whole.
 SIZES: dict[str, Sizes] = {
+    **{name: sizes for study in STUDIES for name, sizes in study.check_sizes.items()},
     "paper-recipe": {"test": 1},  # of 10 trajectories of each object
     "tracking": {"edges": 5},  # of 50
     "vibration": {"randomized": 2},  # of 20
     "grasp-table": {"trials": 1, "alone": 1},  # of 10 and 5
-    "blind-identification": {"sensors": 2},  # of 20
 }
 
 
@@ -156,7 +115,7 @@ def grasp_trials(evaluations: Evaluations) -> Rows:
 
 
 GRASPS = tuple(map(Figure, ("success", "force_end_n", "moved_mm_mean")))
-CHECKS: dict[str, Check] = {
+PAPER: dict[str, Check] = {
     "paper-recipe": Check(
         ("objects_words", "model", "horizon_ms"), SLIP, slip_trials,
         training=("--model", "fast-slow", "--horizon-ms", "10"),
@@ -183,58 +142,9 @@ CHECKS: dict[str, Check] = {
     "grasps": Check(("setting", "detector"), GRASPS, grasp_trials),
     "grasp-robustness": Check(("setting", "detector"), GRASPS, grasp_trials),
     "grasps-by-object": Check(("setting", "detector", "object"), (Figure("success", count="trials"),)),
-    "blind-identification": Check(("parameter",), (Figure("estimated", "sensors"), Figure("held", "estimated"))),
 }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class ScriptCheck:
-    """How a table that its own script makes is checked: commands that put it into the folder `tables`, and minutes."""
-
-    commands: tuple[Command, ...]
-    minutes: float  # of a core, measured
-    check: Check
-    whole: bool = False  # whether all trials of the table are repeated
-
-
-SHIPPED = ROOT / "evetac_cli" / "data" / "models" / "slip-10ms.model.h5"
-SCRIPTS = {
-    "labels": ScriptCheck(
-        (script("studies/labels/judge.py", "--seeds", "50000-50009", "--trials", "20,10,6", "--rows", "rows",
-                "--out", "tables"),),
-        3.0,
-        Check(("sensors", "method"), (Figure("onsets_found", "trajectories"), Figure("abstained", "trajectories"))),
-    ),
-    "sticking-share": ScriptCheck(
-        (script("studies/sticking/judge.py", "--seeds", "60000-60999", "--minutes", 1, "--rows", "rows",
-                "--out", "tables"),),
-        4.0,
-        Check(("motion",), (Figure("network_in_time", count="slips"), Figure("rigid_in_time", count="slips"))),
-    ),
-    "slip-detectors-timing": ScriptCheck(
-        (script("studies/slip/judge.py", "judge", "--seed", 52000, "--minutes", 0.3, "--trials", 30, "--model",
-                f"ours 10 ms={SHIPPED}", "--rows", "rows", "--out", "tables"),),
-        4.0,
-        Check(("score",), tuple(Figure(name, count="slips") for name in ("correct", "early", "late"))),
-    ),
-    **{
-        name: ScriptCheck((script("studies/touch/contacts.py", "--seeds", "60000-60024", "--out", "tables"),), 2.0,
-                          Check(("what",)), whole=True)
-        for name in ("touch-contacts", "touch-coverage")
-    },
-    "touch-wrong-injected": ScriptCheck(
-        (script("studies/touch/wrong_dots.py", "--seeds", "60700-60703", "--out", "tables"),),
-        2.0,
-        Check(("wrong", "off_px"), (Figure("found", count="n"),)),
-        whole=True,
-    ),
-}  # fmt: skip
+OF_STUDIES = {name: check for study in STUDIES for name, check in study.checks.items()}
+CHECKS = PAPER | {name: check for name, check in OF_STUDIES.items() if isinstance(check, Check)}
 # Tables that no check repeats, with the reason.
-NOT_CHECKED = {
-    "part-effects": "not frozen: a tenth of its pairs of trials has no interval",
-    "force-sensors": "not frozen: no result of the current method",
-    "force-objects": "not frozen: no result of the current method",
-    "touch-cost": "run times alone, which no run repeats",
-    "mujoco-grasps": "an example's results, which need MuJoCo",
-    "lift-baseline": "an example's results",
-}
+NOT_CHECKED = {name: why for name, why in OF_STUDIES.items() if isinstance(why, str)}
+SCRIPTS = {name: check for study in STUDIES for name, check in study.scripts.items()}

@@ -24,7 +24,7 @@ from evetac_cli.kernels.estimates import LEVEL, Estimate, cluster_weights, ratio
 from scripts.reproduce.checks import Check, Figure
 
 FEWEST = 3  # units of resampling for an interval
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 RENAMED = Path(__file__).with_name("renamed.json")
 
 

@@ -1,9 +1,10 @@
-"""Make a table from evaluations, with its facts, and store it as docs/results/NAME.json."""
+"""Make a table from evaluations or from rows of a script, with its facts, and store it as docs/results/NAME.json."""
 
 import dataclasses
 import json
-import subprocess
-from collections.abc import Iterable
+import shlex
+import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,26 +12,11 @@ from evetac_cli.evaluate.common.source import Source
 from evetac_cli.evaluate.subjects import PAPER
 from evetac_cli.jobs import Row, Rows
 from scripts.paper import rows as paper_rows
-from scripts.reproduce.report_facts import facts, methods, words_for
-from scripts.reproduce.results import fill, keys
+from scripts.reproduce.facts import Refusal, commit_facts, facts, machine, methods, of_freeze, words_for
+from scripts.reproduce.table_text import fill, keys
 from scripts.reproduce.tables import Column, Evaluation, Table
 
-ROOT = Path(__file__).resolve().parents[2]
 COUNTS = ("recordings", "objects", "models", "training_steps", "trials")  # counts that define the size of a run
-
-
-class Refusal(Exception):
-    """A request that cannot be carried out, with a sentence for the user."""
-
-
-def commit() -> tuple[str, bool]:
-    """Return the commit, and whether the tree differs from it in anything except the tables."""
-    git = ["git", "-C", str(ROOT)]
-    head = subprocess.run([*git, "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
-    changes = subprocess.run(
-        [*git, "status", "--porcelain", "--", ":!docs/results"], capture_output=True, text=True, check=False
-    )
-    return head.stdout.strip() or "unknown", bool(changes.stdout.strip())
 
 
 def shown_rows(table: Table, rows: list[Row]) -> list[Row]:
@@ -53,8 +39,6 @@ def result(table: Table, evaluations: dict[str, Evaluation], commands: Iterable[
     headers = [evaluation.header for evaluation in evaluations.values() if evaluation.header]
     about = {key: value for evaluation in evaluations.values() for key, value in (evaluation.about or {}).items()}
     known = facts(headers) | about.pop("sizes", {})
-    head, changed = commit()
-    head, changed = about.get("commit", head), about.get("uncommitted_changes", changed)
     rows, columns = table.rows(evaluations), table.columns
     if table.measured:
         columns = tuple(column for column in columns if any(fill(column.cell, row) for row in rows))
@@ -64,9 +48,7 @@ def result(table: Table, evaluations: dict[str, Evaluation], commands: Iterable[
         "name": table.name,
         "title": table.title.format(**words_for(known)),
         "simulated": any(evaluation.simulated for evaluation in evaluations.values()),
-        "made": f"commit {head}" + (", with uncommitted changes" if changed else ""),
-        "commit": head,
-        "uncommitted_changes": changed,
+        **commit_facts(),
         "commands": list(commands),
         "methods": methods(headers),
         "recipe_ids": [header["id"] for header in headers],
@@ -121,7 +103,57 @@ def keep(table: Row, folder: Path, *, replace: bool) -> None:
     path = folder / f"{table['name']}.json"
     if path.exists() and not replace and (less := smaller(table, json.loads(path.read_text()))):
         raise Refusal(f"{path} was not replaced, because this run is smaller: {', '.join(less)}; try --replace")
+    write(folder, table)
+
+
+def write(folder: Path, *tables: Row) -> None:
+    """Write tables as NAME.json into a folder, each whole or not at all, and print their paths."""
     folder.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_suffix(".json.part")
-    unfinished.write_text(json.dumps(table, indent=1) + "\n")
-    unfinished.replace(path)
+    for table in tables:
+        path = folder / f"{table['name']}.json"
+        unfinished = path.with_suffix(".json.part")
+        unfinished.write_text(json.dumps(table, indent=1) + "\n")
+        unfinished.replace(path)
+        sys.stdout.write(f"{path}\n")
+
+
+def table_of(
+    name: str,
+    title: str,
+    columns: dict[str, str],
+    rows: list[Row],
+    command: str,
+    sizes: dict[str, Any],
+    *,
+    across: dict[str, str] | None = None,
+    notes: Sequence[str] = (),
+    hours: float | None = None,
+) -> Row:
+    """Return a table of simulated rows that a script measured, with the current commit and computer.
+
+    columns: the cell (a format string over a row) of each heading; command: the command that makes the table; sizes:
+    seeds and numbers of trials; hours: core hours spent, if they were measured.
+    """
+    table = {
+        "name": name,
+        "title": title,
+        "simulated": True,
+        **commit_facts(),
+        "commands": [command],
+        "methods": {},
+        "recipe_ids": [],
+        "sizes": sizes,
+        "columns": [{"heading": heading, "cell": cell} for heading, cell in columns.items()],
+        "across": across,
+        "notes": list(notes),
+        "rows": rows,
+        "machine": machine(),
+        **({} if hours is None else {"hours": hours}),
+    }
+    return table | of_freeze(table)
+
+
+def models_in_words(given: Sequence[str]) -> str:
+    """Return the values of --model, NAME=FILE each, as part of a command, without the files' folders."""
+    named = (each.partition("=") for each in given)
+    return " ".join(shlex.quote(f"{name}={Path(path).name}") for name, _, path in named)

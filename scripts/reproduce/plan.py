@@ -1,34 +1,24 @@
-"""The table of all experiments of the paper and all additional studies; scripts/reproduce/run.py runs them."""
-
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+"""All experiments, those of the paper and those of the studies; scripts/reproduce/run.py runs them."""
 
 from scripts.paper import slip_tables
 from scripts.reproduce import steps, tables
-from scripts.reproduce.steps import Command, Sizes, evetac
-from scripts.reproduce.tables import Table
-from scripts.studies import plans
+from scripts.reproduce.experiment import Experiment
+from scripts.reproduce.steps import evetac
+from scripts.studies.labels import judge as labels
+from scripts.studies.likeness import tables as likeness
+from scripts.studies.parts import effects
+from scripts.studies.robots import tables as robots
+from scripts.studies.sensors import blind, forces
+from scripts.studies.slip import judge as slip
+from scripts.studies.slip import recordings
+from scripts.studies.sticking import judge as sticking
+from scripts.studies.touch import study as touch
 
-
-@dataclass(frozen=True)
-class Experiment:
-    """One experiment: its commands, its sizes and its results."""
-
-    name: str
-    shows: str
-    folder: str  # folder of its files; experiments that build on each other share one
-    hours: float  # at full size on two cores: an estimate
-    full: Sizes
-    small: Sizes  # the sizes that differ from full size
-    steps: Callable[[Sizes], Iterator[Command]] = lambda sizes: iter(())
-    evaluations: Callable[[Sizes], dict[str, Command]] = lambda sizes: {}
-    measure: str = ""  # MODULE.FUNCTION in this folder, for measurements that no command makes
-    tables: tuple[Table, ...] = ()
-    after: tuple[str, ...] = ()  # experiments that must run first
-    published: bool = True  # whether its tables go to docs/results/; otherwise they stay in its folder
-
-
-EXPERIMENTS: tuple[Experiment, ...] = (
+STUDIES = tuple(
+    module.STUDY for module in (recordings, effects, blind, forces, robots, slip, labels, sticking, touch, likeness)
+)
+# The experiments of the paper, and pictures.
+PAPER: tuple[Experiment, ...] = (
     Experiment(
         "demo", "all steps from touch to grasp on a simulated sensor", "demo", 0.1,
         full={"seed": 0, "learn": 5, "unseen": 3, "epochs": 30},
@@ -58,12 +48,6 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         "data/paper-recipe", 6.0, full=steps.RECIPE, small=steps.SMALL_RECIPE,
         steps=steps.recipe_steps, evaluations=steps.recipe_evaluations,
         tables=(tables.PAPER_RECIPE, tables.RECIPE_CHANGES, tables.MODEL_COST, *slip_tables.TABLES),
-    ),
-    Experiment(
-        "ship", "the pretrained slip detector, trained on many motions, sensors and objects", "data/ship", 1.0,
-        full={"motions": (), "per_object": 40, "steps": 10_000},  # no motions given: all; 40: the most available
-        small={"motions": ("slip", "pushes"), "per_object": 1, "steps": 200},
-        steps=steps.ship_steps,
     ),
     Experiment(
         "tracking", "tracker presets compared on edges, slip and shear", "data/tracking", 2.0,
@@ -112,42 +96,5 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     Experiment(
         "film", "a short film of a catch", "film", 0.1, full={}, small={}, steps=steps.film_steps,
     ),
-    Experiment(
-        "part-effects", "effect of each part of a sensor or a scene on each stage", "data/part-effects", 1.0,
-        full={"seed": 20_000, "slips": 15, "grasps": 9, "parts": ()},
-        small={"slips": 3, "grasps": 0, "parts": ("leak",)},
-        measure="scripts.studies.parts.effects.measure",
-        tables=(plans.PART_EFFECTS,),
-    ),
-    Experiment(
-        "blind-identification", "does identify recover unseen sensors", "data/blind-identification",
-        0.8, full={"first": 20_020, "sensors": 20, "grips": 3}, small={"sensors": 1},
-        measure="scripts.studies.sensors.blind.measure",
-        tables=(plans.BLIND_IDENTIFICATION,),
-    ),
-    Experiment(
-        "force-sensors", "shear and normal force from touch maps of different sensors", "data/force-sensors", 3.0,
-        full={"first": 20_020, "sensors": 20, "adapt": 12}, small={"sensors": 1, "adapt": 1},
-        steps=plans.force_sensor_steps, evaluations=plans.force_sensor_evaluations,
-        tables=(plans.FORCE_SENSORS, plans.FORCE_OBJECTS), after=("blind-identification",),
-    ),
-    Experiment(
-        "touch-cost", "cost of a step of the touch sensor", "data/touch-cost", 0.1,
-        full={"rounds": 4, "ms": 500}, small={"rounds": 2, "ms": 50},
-        measure="scripts.studies.robots.tables.touch_cost",
-        tables=(plans.TOUCH_COST,),
-    ),
-    Experiment(
-        "mujoco-grasps", "grasps in MuJoCo with evetac's touch sensor, detector and laws", "data/mujoco-grasps", 0.1,
-        full={"trials": 20, "seed": 22_000}, small={"trials": 1},
-        steps=plans.mujoco_steps, measure="scripts.studies.robots.tables.mujoco_grasps",
-        tables=(plans.MUJOCO_GRASPS,),
-    ),
-    Experiment(
-        "lift-baseline", "a grip law found by CMA-ES compared with fixed grips", "data/lift-baseline", 0.5,
-        full={"runs": 5, "generations": 4, "candidates": 6, "episodes": 2, "judged": 20, "judged_from": 22_000},
-        small={"runs": 1, "generations": 1, "candidates": 4, "episodes": 1, "judged": 1},
-        steps=plans.lift_steps, measure="scripts.studies.robots.tables.lift_baseline",
-        tables=(plans.LIFT_BASELINE,),
-    ),
 )  # fmt: skip
+EXPERIMENTS = (*PAPER, *(experiment for study in STUDIES for experiment in study.experiments))

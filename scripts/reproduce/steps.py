@@ -348,14 +348,3 @@ def film_steps(sizes: Sizes) -> Iterator[Command]:
                  "--lift-s", 7, "--balance-s", 5, "--texture", "on", "--out", "catch.recording.h5")  # fmt: skip
     yield evetac("track", "catch.recording.h5")
     yield script("pictures/film.py", "catch.recording.h5", "--out", "catch.gif")
-
-
-def ship_steps(sizes: Sizes) -> Iterator[Command]:
-    """Record motions for the pretrained slip detector, train it, and put it into the package."""
-    some = ("--motions", ",".join(sizes["motions"])) if sizes["motions"] else ()
-    for role in ("learn", "choose"):
-        yield script("studies/slip/recordings.py", role, "--out", role, "--per-object", sizes["per_object"], *some)
-    yield script("studies/slip/train.py", "features", ".")
-    yield script("studies/slip/train.py", "train", ".", "--variant", "shipped", "--seeds", 1, "--steps", sizes["steps"],
-                 "--out", "models")  # fmt: skip
-    yield script("ship/ship_model.py", "models/shipped/*.model.h5")

@@ -29,7 +29,7 @@ from pathlib import Path
 from evetac_cli.console import print_table, say
 from evetac_cli.jobs import Row
 from evetac_cli.resources import MODEL
-from scripts.reproduce.made_tables import commit
+from scripts.reproduce.facts import commit_facts
 
 LOOP = ("--controller", "paper", "--model", "shipped", "--node-pitch-mm", "1.45")
 FEW = 2  # trials of the first run: the least that train needs to train and to choose a threshold
@@ -205,7 +205,7 @@ def main() -> None:
             say(f"round {number + 1} of {given.rounds}: {len(chosen)} stages")
             rounds.append(measured_round(known, chosen, given.trials, scene))
         rows = table(rounds, given.trials)
-        more = summary(rows) | {"trials": given.trials, "rounds": given.rounds, "commit": commit()[0]}
+        more = summary(rows) | {"trials": given.trials, "rounds": given.rounds, "commit": commit_facts()["commit"]}
     print_table(f"inside {given.inside}" if given.inside else "stage costs", rows, more, simulated=True)
     if given.out:
         given.out.write_text(json.dumps({"simulated": True, "rows": rows, "summary": more}, indent=1) + "\n")

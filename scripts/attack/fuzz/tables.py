@@ -18,8 +18,8 @@ from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.store import index
 from evetac_cli.text_files import as_toml
+from scripts.attack.fuzz.plain_files import Rng, damage_bytes
 
-Rng = np.random.Generator
 DATA = ("first.recording.h5", "first.tracks.h5", "first.labels.h5", "piece.recording.h5", "events.h5")
 VALUES: tuple[object, ...] = (None, -1, 0, 0.5, 1e308, float("nan"), 2**70, True, "", "x" * 70_000, "\udcff", "\x1b[2J",
                               "../../etc/passwd", [[]], {"a": 1})  # fmt: skip
@@ -38,8 +38,6 @@ def write(folder: Path) -> None:
 
 def damage_index(path: Path, rng: Rng) -> str:
     """Damage the index of a folder that is up to date: its values, the file in its place, or its bytes."""
-    from scripts.attack.fuzz.mutations import damage_bytes
-
     place = path / index.NAME
     if rng.random() < 0.3:
         return _instead(place, rng)
@@ -75,8 +73,6 @@ def _instead(place: Path, rng: Rng) -> str:
 
 def damage_parquet(path: Path, rng: Rng) -> str:
     """Rewrite a table with one change, or damage its bytes."""
-    from scripts.attack.fuzz.mutations import damage_bytes
-
     if rng.random() < 0.3:
         return damage_bytes(path, rng)
     try:

@@ -17,8 +17,9 @@ from evetac_cli.evaluate.grasp import grip_forces
 from evetac_cli.evaluate.grasp.grip_forces import CLASSES_G, firmness
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels.estimates import share
+from scripts.reproduce.facts import RESULTS
+from scripts.reproduce.made_tables import table_of, write
 from scripts.studies.rows import rows_in, seeds_of
-from scripts.studies.tables import RESULTS, table_of, write
 
 PICTURE = RESULTS.parent / "grip-force.png"
 SHOWN = 200  # grasps of each law in the picture

@@ -26,10 +26,12 @@ from evetac_cli.jobs import Row
 from evetac_cli.kernels.estimates import Estimate, cluster_weights, ratio_of_clusters
 from evetac_cli.stages import label, label_methods
 from evetac_cli.store.recordings.onset import LabelledOnset, onset_of_values
-from scripts.reproduce.results import ranges
+from scripts.reproduce.experiment import Check, Figure, ScriptCheck, Study
+from scripts.reproduce.facts import RESULTS, ranges
+from scripts.reproduce.made_tables import table_of, write
+from scripts.reproduce.steps import script
 from scripts.studies.labels.trials import PlayedSlip, play_slip
 from scripts.studies.rows import add_rows, rows_in, seeds_of
-from scripts.studies.tables import RESULTS, table_of, write
 
 NAME = "labels"
 METHODS = ("event-flow", "farneback")
@@ -141,6 +143,18 @@ NOTE = (
     "px: true distance that the object slid as one body. Rest: labels that did not abstain. Farneback is the paper's"
     " method, with evetac's constants. Run time: median processor time per trial."
 )
+
+
+STUDY = Study(
+    scripts={
+        "labels": ScriptCheck(
+            (script("studies/labels/judge.py", "--seeds", "50000-50009", "--trials", "20,10,6", "--rows", "rows",
+                    "--out", "tables"),),
+            3.0,
+            Check(("sensors", "method"), (Figure("onsets_found", "trajectories"), Figure("abstained", "trajectories"))),
+        ),
+    },
+)  # fmt: skip
 
 
 def main() -> None:

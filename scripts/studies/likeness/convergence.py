@@ -14,7 +14,6 @@ Each row is written to the file as soon as it is measured; a second run measures
 two minutes of processor time. `make results` writes the tables into docs/simulator.md.
 """
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ import numpy as np
 from evetac_cli.jobs import Row
 from evetac_cli.sim.setup.solver import Solver
 from evetac_cli.trials.trial import SimulatedTrial
+from scripts.reproduce.table_text import as_table
 from scripts.studies.likeness.trials import (
     FOLDER,
     LOUD,
@@ -82,8 +82,8 @@ def plan(task: Task, folder: Path) -> SimulatedTrial:
     return planned(task, folder, **SETTINGS[task.setting])
 
 
-def as_page(results: Path, as_table: Callable[[list[str], list[list[str]]], str]) -> str:
-    """Return the tables of docs/simulator.md. `as_table` makes Markdown from headings and rows."""
+def as_page(results: Path) -> str:
+    """Return the tables of docs/simulator.md."""
     rows = kept(results / FOLDER.name / f"{NAME}.json")
     of = {setting: of_tasks([task for task in tasks() if task.setting == setting], rows) for setting in SETTINGS}
     finer = [setting for setting in SETTINGS if setting != DEFAULT]

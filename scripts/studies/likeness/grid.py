@@ -8,7 +8,6 @@ table then shows the pitch that resolves it. This takes seconds. `make results` 
 """
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 from evetac_cli.commands.record import Record
@@ -18,7 +17,9 @@ from evetac_cli.trials import record
 from evetac_cli.trials.gel_grid import nodes_of_slip
 from evetac_cli.trials.record import simulated
 from evetac_cli.trials.trial import SimulatedTrial
-from scripts.studies.likeness.trials import FOLDER, SLIP, arguments, commit_in_words, kept, made_by, write
+from scripts.reproduce.facts import commit_in_words
+from scripts.reproduce.table_text import as_table
+from scripts.studies.likeness.trials import FOLDER, SLIP, arguments, kept, made_by, write
 
 NAME = "grid"
 COMMAND = "python scripts/studies/likeness/grid.py"
@@ -40,8 +41,8 @@ def measured() -> list[Row]:
     return rows
 
 
-def as_page(results: Path, as_table: Callable[[list[str], list[list[str]]], str]) -> str:
-    """Return the table of docs/simulator.md. `as_table` makes Markdown from headings and rows."""
+def as_page(results: Path) -> str:
+    """Return the table of docs/simulator.md."""
     rows = kept(results / FOLDER.name / f"{NAME}.json")
     lines = [line([row for row in rows if row["object"] == called]) for called in {row["object"]: None for row in rows}]
     heads = ["object", "nodes, fewest", "most", "pitch that resolves it [mm]"]

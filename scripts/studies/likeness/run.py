@@ -28,10 +28,8 @@ from evetac_cli.evaluate.likeness.command import HERE
 from evetac_cli.evaluate.likeness.facts import Fact, Ours, Values
 from evetac_cli.evaluate.likeness.facts import facts as public_facts
 from evetac_cli.jobs import Row, Rows
-from scripts.reproduce.made_tables import Refusal, commit
-from scripts.reproduce.report_facts import facts, methods, report_header
-from scripts.reproduce.run import RESULTS
-from scripts.reproduce.run_command import run_command
+from scripts.reproduce.facts import RESULTS, Refusal, commit_facts, facts, methods, report_header
+from scripts.reproduce.perform import run_command
 
 FOLDER = "likeness"  # in docs/results
 OBJECTS = (1, 3, 4, *range(7, 14), *range(15, 20))  # the objects that the default grid resolves, and object 18
@@ -58,14 +56,11 @@ def commands(chosen: argparse.Namespace) -> list[list[str]]:
 
 def kept(when: str, rows: list[Row], chosen: argparse.Namespace) -> Row:
     """Return the content of the result file, from the rows that `evetac evaluate likeness` printed."""
-    head, changed = commit()
     header = report_header(chosen.folder / "all.report.h5")
     return {
         "name": f"{FOLDER}-{when}",
         "simulated": True,
-        "made": f"commit {head}" + (", with uncommitted changes" if changed else ""),
-        "commit": head,
-        "uncommitted_changes": changed,
+        **commit_facts(),
         "commands": [" ".join(command) for command in commands(chosen)],
         "methods": methods([header]),
         "sizes": facts([header]),

@@ -28,6 +28,7 @@ from evetac_cli.kernels.slip.metrics import EARLIEST_MS, LATEST_MS
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.store.recordings.slip_grid import COLUMN, is_unresolved
 from evetac_cli.trials.trial import SimulatedTrial
+from scripts.reproduce.table_text import as_table
 from scripts.studies.likeness.trials import (
     FOLDER,
     RATE,
@@ -160,8 +161,8 @@ RATE_COLUMNS = (
 )
 
 
-def as_page(results: Path, as_table: Callable[[list[str], list[list[str]]], str]) -> str:
-    """Return the table of docs/evidence/likeness.md. `as_table` makes Markdown from headings and rows."""
+def as_page(results: Path) -> str:
+    """Return the table of docs/evidence/likeness.md."""
     rows = of_tasks(tasks(), kept(results / FOLDER.name / f"{NAME}.json"))
     found = [predictions(setting, rows) for setting in SETTINGS]
     heads = ["constant", "times", *(head for head, _ in (*COLUMNS, *RATE_COLUMNS))]

@@ -6,12 +6,15 @@ always agrees with the facts shown.
 """
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from evetac_cli.evaluate.likeness.facts import NEAR, OFF, WITHIN, Fact, Within, as_text, facts
 from evetac_cli.jobs import Row
+from scripts.reproduce.experiment import Study
+from scripts.reproduce.table_text import as_table
+from scripts.studies.likeness import convergence, grid, sensitivity
 
 # Reasons that have changed since data/likeness.toml was written, whose bytes are part of a recipe.
 MISSES = {
@@ -95,17 +98,34 @@ def topics(results: Path) -> str:
     return "\n".join(lines)
 
 
-def as_pages(results: Path, as_table: Callable[[list[str], list[list[str]]], str]) -> dict[str, str]:
-    """Return the text of the two tables by name. `as_table` makes Markdown from headings and rows."""
-    measured, listed = read(results), facts()
-    counted = sorted((fact for fact in listed if fact.counts), key=lambda fact: fact.counts or 0)
-    others = [fact for fact in listed if not fact.counts]
-    texts = {}
-    for name, of in (("likeness-counted", counted), ("likeness-others", others)):
-        heads, *rows = table(of, measured)
-        texts[name] = as_table(heads, rows) + "\n"
+def _of_page(*, counted: bool) -> list[Fact]:
+    return sorted((fact for fact in facts() if bool(fact.counts) == counted), key=lambda fact: fact.counts or 0)
+
+
+def as_counted(results: Path) -> str:
+    """Return the table of the facts that are counted, and how the figures were made."""
+    measured = read(results)
+    heads, *rows = table(_of_page(counted=True), measured)
     seeds = ", ".join(map(str, measured["sizes"]["recording_seeds"]))
     made = f"{measured['made']}; seeds of recordings {seeds}; commands: `docs/results/likeness/after.json`."
-    texts["likeness-counted"] += f"\nMade at {made}\n"
-    texts["likeness-off"] = "\n".join(misses(counted, measured)) + "\n"
-    return texts
+    return f"{as_table(heads, rows)}\n\nMade at {made}\n"
+
+
+def as_others(results: Path) -> str:
+    """Return the table of the facts that are not counted."""
+    heads, *rows = table(_of_page(counted=False), read(results))
+    return as_table(heads, rows) + "\n"
+
+
+STUDY = Study(
+    pages={
+        "likeness-counted": as_counted,
+        "likeness-off": lambda results: "\n".join(misses(_of_page(counted=True), read(results))) + "\n",
+        "likeness-others": as_others,
+        "likeness-answer": lambda results: answer(results) + "\n",
+        "likeness-topics": lambda results: topics(results) + "\n",
+        "likeness-sensitivity": sensitivity.as_page,
+        "likeness-convergence": convergence.as_page,
+        "likeness-grid": grid.as_page,
+    }
+)

@@ -28,8 +28,9 @@ from evetac_cli.store.recordings.slip_grid import COLUMN, nodes_of
 from evetac_cli.trials import record
 from evetac_cli.trials.record import simulated
 from evetac_cli.trials.trial import SimulatedTrial
+from scripts.reproduce.facts import RESULTS, commit_in_words
 
-FOLDER = Path(__file__).resolve().parents[3] / "docs" / "results" / "likeness"
+FOLDER = RESULTS / "likeness"
 SLIP, RATE = "slip", "data-rate"  # scenes
 OF_EVENTS = (
     "events_ms_about_slip",
@@ -159,16 +160,6 @@ def write(path: Path, rows: list[Row], command: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     part.write_text(text)
     part.replace(path)
-
-
-def commit_in_words() -> str:
-    """Return the commit, with a remark if files other than the tables have uncommitted changes."""
-    from scripts.reproduce.made_tables import (
-        commit,  # here, because it imports the tables that are made from these rows
-    )
-
-    head, changed = commit()
-    return f"{head}, with uncommitted changes" if changed else head
 
 
 def arguments(about: str | None, name: str) -> argparse.Namespace:

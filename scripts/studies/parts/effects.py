@@ -24,7 +24,6 @@ The 95 % intervals of changes are a bootstrap over the pairs of trials; with few
 narrow.
 """
 
-import json
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -59,11 +58,40 @@ from evetac_cli.text_files import as_toml
 from evetac_cli.trials import grasp, record
 from evetac_cli.trials.grasp import simulated as simulated_grasp
 from evetac_cli.trials.trial import SimulatedTrial
+from scripts.reproduce.experiment import Experiment, Study, measured
+from scripts.reproduce.facts import commit_in_words
 from scripts.reproduce.steps import Sizes
 from scripts.reproduce.tables import Evaluation, Evaluations
-from scripts.studies.parts.fine_steps import commit, finished_rows
-from scripts.studies.plans import PART_FIGURES
+from scripts.studies.rows import add_rows, rows_in
 
+# A figure of parts/effects.py: heading and format of its cells.
+PART_FIGURES = {
+    "events_ms": ("events per ms", ".1f"),
+    "tracking_px": ("tracking error [px]", ".3f"),
+    "labels_in_time": ("labels in time", ".2f"),
+    "labels_f1": ("F1 of labels", ".2f"),
+    "slip_in_time": ("slip detected in time", ".2f"),
+    "slip_f1": ("F1 of detector", ".2f"),
+    "record_us": ("time to simulate [us per slice]", ".0f"),
+    "rest_us": ("time to label, track, featurize and evaluate [us per slice]", ".0f"),
+    "held": ("grasps held", ".2f"),
+    "moved_mm": ("object moved in a grasp [mm]", ".2f"),
+}
+PART_EFFECTS = measured(
+    "part-effects",
+    "Effect of each part on each stage, {slips} slips and {grasps} grasps with each",
+    ("part", "{part}"),
+    ("size", "{size}"),
+    *(
+        (heading, f"{{{name}:{form}}}, {{{name}_low:+{form}}} to {{{name}_high:+{form}}}")
+        for name, (heading, form) in PART_FIGURES.items()
+    ),
+    notes=(
+        "A figure is followed by the 95 % interval of its change (bootstrap over pairs of trials) if the interval"
+        " excludes 0. With fewer than some ten pairs the interval is too narrow, and one in 20 figures would have one"
+        " by chance. Run times are processor times, measured while other work ran.",
+    ),
+)
 NONE = "none"
 SLIPPED, GRASPED = (2, 8, 14), (11, 12, 17)  # objects, in turn
 RESAMPLES = 2000
@@ -317,7 +345,7 @@ def evaluation(rows: list[Row]) -> Evaluation:
     about = {
         "made": f"commit {', '.join(commits)}",
         "commit": ", ".join(commits),
-        "uncommitted_changes": any(one.endswith("-dirty") for one in commits),
+        "uncommitted_changes": any("uncommitted" in one for one in commits),
         "methods": {"record": record.METHOD, "label": label.METHOD, "grasp": grasp.METHOD},
         "recipe_ids": [package_model().header["id"]],
         "sizes": {**counts, "recording_seeds": sorted({row["seed"] for row in rows})},
@@ -329,14 +357,27 @@ def evaluation(rows: list[Row]) -> Evaluation:
 def measure(sizes: Sizes, folder: Path, jobs: int) -> Evaluations:
     """Run the missing trials in parallel; return the figures of all existing trials."""
     path = folder / "effects.jsonl"
-    rows = finished_rows(path)
-    done, made_by = {identity(row) for row in rows}, {"commit": commit()}
+    rows = rows_in(path)
+    done, made_by = {identity(row) for row in rows}, {"commit": commit_in_words()}
     missing = [row for row in trials(sizes) if identity(row) not in done]
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool, path.open("a") as file:
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         for future in as_completed([pool.submit(run, row | made_by) for row in missing]):
             rows.append(future.result())
-            file.write(json.dumps(rows[-1]) + "\n")
-            file.flush()
+            add_rows(path, rows[-1:])
     if not rows:
         raise InputError("no trials", where=str(path), expected="--size slips or grasps above 0")
     return {"part-effects": evaluation(rows)}
+
+
+STUDY = Study(
+    experiments=(
+        Experiment(
+            "part-effects", "effect of each part of a sensor or a scene on each stage", "data/part-effects", 1.0,
+            full={"seed": 20_000, "slips": 15, "grasps": 9, "parts": ()},
+            small={"slips": 3, "grasps": 0, "parts": ("leak",)},
+            measure=measure,
+            tables=(PART_EFFECTS,),
+        ),
+    ),
+    checks={"part-effects": "not frozen: a tenth of its pairs of trials has no interval"},
+)  # fmt: skip

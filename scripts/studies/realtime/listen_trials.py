@@ -37,8 +37,9 @@ from evetac_cli.console import print_table
 from evetac_cli.events import FRAME_PX
 from evetac_cli.inspect import repair, validate
 from evetac_cli.store.recordings.read import open_recording
+from scripts.reproduce.facts import RESULTS
+from scripts.reproduce.made_tables import table_of, write
 from scripts.studies.realtime.clock_camera import BEGAN, EVENT_US, PIXELS, Clock
-from scripts.studies.tables import RESULTS, table_of, write
 
 ROOT = Path(__file__).resolve().parents[3]
 Recorder = runpy.run_path(str(ROOT / "examples" / "robot_trials.py"))["Recorder"]  # the client of the documentation

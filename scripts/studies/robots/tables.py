@@ -11,9 +11,9 @@ import numpy as np
 
 import evetac_cli as evetac
 from evetac_cli.jobs import Row
-from scripts.reproduce.steps import Sizes
+from scripts.reproduce.experiment import Experiment, Study, measured
+from scripts.reproduce.steps import Command, Sizes
 from scripts.reproduce.tables import Evaluation, Evaluations
-from scripts.studies.plans import trials_file
 
 BOX = {"shape": "flat", "static_friction": 0.8}
 BALL = {"shape": "sphere", "width_mm": 40, "static_friction": 0.8}
@@ -98,3 +98,73 @@ def lift_baseline(sizes: Sizes, folder: Path, jobs: int) -> Evaluations:
     """Summarise the policies of examples/cma_lift.py."""
     policies = json.loads((folder / trials_file(sizes)).read_text())
     return simulated("lift-baseline", lift_rows(policies), len(policies) * sizes["judged"])
+
+
+def mujoco_steps(sizes: Sizes) -> Iterator[Command]:
+    yield ["python", "examples/mujoco_grasp.py", "--trials", str(sizes["trials"]), "--seed", str(sizes["seed"]),
+           "--json", trials_file(sizes)]  # fmt: skip
+
+
+def lift_steps(sizes: Sizes) -> Iterator[Command]:
+    flags = (word for name, value in sizes.items() for word in (f"--{name.replace('_', '-')}", str(value)))
+    yield ["python", "examples/cma_lift.py", *flags, "--json", trials_file(sizes)]
+
+
+def trials_file(sizes: Sizes) -> str:
+    """Return an example's output file, named by its sizes, because it has no recipe that distinguishes runs."""
+    return "-".join(str(value) for value in sizes.values()) + ".json"
+
+
+TOUCH_COST = measured(
+    "touch-cost",
+    "Run time of a simulated millisecond of the touch sensor",
+    ("contact", "{contact}"),
+    ("CPU us per ms", "{CPU_us_a_ms:,.1f}"),
+    ("with slip detector CPU us per ms", "{with_slip_detector_CPU_us_a_ms:,.1f}"),
+)
+MUJOCO_GRASPS = measured(
+    "mujoco-grasps",
+    "Grasps in MuJoCo",
+    ("controller", "{controller}"),
+    ("trials", "{trials}"),
+    ("lifted", "{lifted}"),
+    ("grip at the end N median", "{grip_at_the_end_N_median:.2f}"),
+    ("steps of 1 ms a CPU second median", "{steps_of_1_ms_a_CPU_second_median:,.0f}"),
+)
+LIFT_BASELINE = measured(
+    "lift-baseline",
+    "Policies for evetac/Lift-v0, means over the evaluated episodes",
+    ("policy", "{policy}"),
+    ("return", "{return:.3g}"),
+    ("lifted", "{lifted:.3g}"),
+    ("kept", "{kept:.3g}"),
+    ("mean grip N", "{mean_grip_N:.3g}"),
+)
+STUDY = Study(
+    experiments=(
+        Experiment(
+            "touch-cost", "cost of a step of the touch sensor", "data/touch-cost", 0.1,
+            full={"rounds": 4, "ms": 500}, small={"rounds": 2, "ms": 50},
+            measure=touch_cost,
+            tables=(TOUCH_COST,),
+        ),
+        Experiment(
+            "mujoco-grasps", "grasps in MuJoCo with evetac's touch sensor, detector and laws", "data/mujoco-grasps",
+            0.1, full={"trials": 20, "seed": 22_000}, small={"trials": 1},
+            steps=mujoco_steps, measure=mujoco_grasps,
+            tables=(MUJOCO_GRASPS,),
+        ),
+        Experiment(
+            "lift-baseline", "a grip law found by CMA-ES compared with fixed grips", "data/lift-baseline", 0.5,
+            full={"runs": 5, "generations": 4, "candidates": 6, "episodes": 2, "judged": 20, "judged_from": 22_000},
+            small={"runs": 1, "generations": 1, "candidates": 4, "episodes": 1, "judged": 1},
+            steps=lift_steps, measure=lift_baseline,
+            tables=(LIFT_BASELINE,),
+        ),
+    ),
+    checks={
+        "touch-cost": "run times alone, which no run repeats",
+        "mujoco-grasps": "an example's results, which need MuJoCo",
+        "lift-baseline": "an example's results",
+    },
+)  # fmt: skip

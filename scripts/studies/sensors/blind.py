@@ -49,6 +49,7 @@ from evetac_cli.sim.setup.sampling import sample_sensor
 from evetac_cli.sim.setup.scene_file import changed, merged
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.store.recordings.read import open_recording
+from scripts.reproduce.experiment import Check, Experiment, Figure, Study, measured
 from scripts.reproduce.steps import Sizes
 from scripts.reproduce.tables import Evaluation, Evaluations
 
@@ -392,3 +393,30 @@ def measure(sizes: Sizes, folder: Path, jobs: int) -> Evaluations:
     print_table("windows told apart", areas, of_all, simulated=True)
     about = {"sizes": {"trials": len(held), "first": min(held), "last": max(held)}, "classifier": areas}
     return {"blind-identification": Evaluation(parameters, of_all, simulated=True, about=about)}
+
+
+BLIND_IDENTIFICATION = measured(
+    "blind-identification",
+    "Parameters of sensors randomized-narrow:{first} to {last} in blind identification",
+    ("parameter", "{parameter}"),
+    ("estimated", "{estimated} of {sensors}"),
+    ("95 % interval contained the true value", "{held}"),
+    ("width over the range of `randomized-narrow`, mean", "{width_mean:.2f}"),
+    ("worst", "{width_worst:.2f}"),
+    ("identifiable", "{found}"),
+    notes=("Parameters that were estimated for no sensor cannot be identified.",),
+)
+STUDY = Study(
+    experiments=(
+        Experiment(
+            "blind-identification", "does identify recover unseen sensors", "data/blind-identification",
+            0.8, full={"first": 20_020, "sensors": 20, "grips": 3}, small={"sensors": 1},
+            measure=measure,
+            tables=(BLIND_IDENTIFICATION,),
+        ),
+    ),
+    checks={
+        "blind-identification": Check(("parameter",), (Figure("estimated", "sensors"), Figure("held", "estimated"))),
+    },
+    check_sizes={"blind-identification": {"sensors": 2}},
+)  # fmt: skip

@@ -16,15 +16,31 @@ from pathlib import Path
 
 from evetac_cli.evaluate.slip.models import Model
 from evetac_cli.evaluate.slip.warnings import RULES
+from evetac_cli.resources import MODEL
+from scripts.reproduce.experiment import Check, Figure, ScriptCheck, Study
+from scripts.reproduce.facts import RESULTS
+from scripts.reproduce.made_tables import models_in_words, write
+from scripts.reproduce.steps import script
 from scripts.studies import motions
 from scripts.studies.motions import Planned, Trial
 from scripts.studies.slip import tables as slip_tables
 from scripts.studies.slip import trials as slip_trials
 from scripts.studies.slip.seen import seen
 from scripts.studies.slip.trials import Scores, planned_at
-from scripts.studies.tables import RESULTS, models_in_words, write
 
 MOST_TRIALS = 100_000
+
+
+STUDY = Study(
+    scripts={
+        "slip-detectors-timing": ScriptCheck(
+            (script("studies/slip/judge.py", "judge", "--seed", 52000, "--minutes", 0.3, "--trials", 30, "--model",
+                    f"ours 10 ms={MODEL}", "--rows", "rows", "--out", "tables"),),
+            4.0,
+            Check(("score",), tuple(Figure(name, count="slips") for name in ("correct", "early", "late"))),
+        ),
+    },
+)  # fmt: skip
 
 
 def main() -> None:

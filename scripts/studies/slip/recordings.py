@@ -18,6 +18,8 @@ from evetac_cli.jobs import silent
 from evetac_cli.trials import grasp, record
 from evetac_cli.trials.grasp.settings import GraspSettings, SimulatedGrasp
 from evetac_cli.trials.trial import SimulatedTrial
+from scripts.reproduce.experiment import Experiment, Study
+from scripts.reproduce.steps import Command, Sizes, evetac, script
 from scripts.studies import motions
 from scripts.studies.motions import Planned
 from scripts.studies.slip.trials import planned_at
@@ -84,6 +86,33 @@ def make(slot: Slot) -> str:
     except SceneError as error:  # a heavy object would compress a soft gel beyond the layer's limit
         return f"{output.name} is left out: {error}\n"
     return ""
+
+
+def ship_steps(sizes: Sizes) -> Iterator[Command]:
+    """Record motions for the pretrained slip detector, train it on the truth, and put it into the package."""
+    some = ("--motions", ",".join(sizes["motions"])) if sizes["motions"] else ()
+    for role in FIRST_SEEDS:
+        yield script("studies/slip/recordings.py", role, "--out", role, "--per-object", sizes["per_object"], *some)
+    folders = [f"{role}/*" for role in FIRST_SEEDS]
+    yield evetac("label", *folders, "--method", "truth", "--from-start")
+    yield evetac("track", *folders, "--preset", "stable")
+    yield evetac("featurize", *folders, "--true-slip-share", "--sticking-share")
+    yield evetac("train", "learn/*", "--validate=choose/*/*.features.h5", "--model", "disp-xy-grip",
+                 "--preset", "adamw", "--horizon-ms", 10, "--max-steps", sizes["steps"], "--networks", 4,
+                 "--learn-true-slip-share", "--seeds", 1, "--out", "models/shipped")  # fmt: skip
+    yield script("ship/ship_model.py", "models/shipped/*.model.h5")
+
+
+STUDY = Study(
+    experiments=(
+        Experiment(
+            "ship", "the pretrained slip detector, trained on many motions, sensors and objects", "data/ship", 1.0,
+            full={"motions": (), "per_object": 40, "steps": 10_000},  # no motions given: all; 40: the most available
+            small={"motions": ("slip", "pushes"), "per_object": 1, "steps": 200},
+            steps=ship_steps,
+        ),
+    ),
+)  # fmt: skip
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -26,8 +26,8 @@ from evetac_cli.kernels.slip.metrics import Counts, timing
 from evetac_cli.kernels.slip.reliability import ReliabilityBin, expected_error
 from evetac_cli.stages.model_files import chosen_threshold, read_curve
 from evetac_cli.store.files import StageFile
+from scripts.reproduce.made_tables import table_of
 from scripts.studies.slip.trials import SLIPS, THRESHOLDS
-from scripts.studies.tables import table_of
 
 HERE = Path(__file__).resolve().parent
 THRESHOLD_FILE = HERE / "thresholds.json"

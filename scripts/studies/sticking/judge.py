@@ -28,7 +28,10 @@ from evetac_cli.jobs import Row
 from evetac_cli.kernels.touch.rest import BLOCK_MS
 from evetac_cli.kernels.touch.sticking import ALARM, PATIENCE
 from evetac_cli.stages.touch.sticking_share import shipped_network
-from scripts.reproduce.results import ranges
+from scripts.reproduce.experiment import Check, Figure, ScriptCheck, Study
+from scripts.reproduce.facts import RESULTS, ranges
+from scripts.reproduce.made_tables import table_of, write
+from scripts.reproduce.steps import script
 from scripts.studies import motions
 from scripts.studies.motions import Trial
 from scripts.studies.rows import add_rows, rows_in, seeds_of
@@ -36,7 +39,6 @@ from scripts.studies.slip.seen import Seen
 from scripts.studies.sticking import trials
 from scripts.studies.sticking.rigid_motion import rigid_slip_share
 from scripts.studies.sticking.trials import AFTER_MS, HIGH, LOW, Looks
-from scripts.studies.tables import RESULTS, table_of, write
 
 NAME = "sticking-share"
 SLIPS = 0.2
@@ -195,6 +197,18 @@ NOTE = (
     f" after a slip: within {NEAR_MS} ms of one. All alarms below 0.05: with those in these {AFTER_MS} ms."
     " *: a motion that was not trained on. Objects " + ranges(motions.JUDGED) + ", of which none was trained on."
 )
+
+
+STUDY = Study(
+    scripts={
+        "sticking-share": ScriptCheck(
+            (script("studies/sticking/judge.py", "--seeds", "60000-60999", "--minutes", 1, "--rows", "rows",
+                    "--out", "tables"),),
+            4.0,
+            Check(("motion",), (Figure("network_in_time", count="slips"), Figure("rigid_in_time", count="slips"))),
+        ),
+    },
+)  # fmt: skip
 
 
 def main() -> None:

@@ -36,9 +36,9 @@ from evetac_cli.kernels.touch.touch_map import TouchReading, TouchState  # noqa:
 from evetac_cli.sim.camera.gel_camera import dot_grid  # noqa: E402
 from evetac_cli.sim.setup.plan import named_sensor  # noqa: E402
 from evetac_cli.sim.setup.sensor import Sensor  # noqa: E402
-from scripts.reproduce.results import ranges  # noqa: E402
+from scripts.reproduce.facts import RESULTS, ranges  # noqa: E402
+from scripts.reproduce.made_tables import table_of, write  # noqa: E402
 from scripts.studies.rows import seeds_of  # noqa: E402
-from scripts.studies.tables import RESULTS, table_of, write  # noqa: E402
 from scripts.studies.touch.contact_maker import SHAPES, ContactMaker, KnownContact, on_coarse_cells  # noqa: E402
 
 OWN_PX, COMMON_PX = 0.05, 0.2  # the tracker's error, see kernels/touch/dot_motion.py

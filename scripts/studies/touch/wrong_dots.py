@@ -21,9 +21,9 @@ from evetac_cli.kernels.touch.touch_map import TouchReading, TouchState
 from evetac_cli.kernels.touch.wrong_dots import LayerMotion
 from evetac_cli.sim.setup.plan import named_sensor
 from evetac_cli.sim.setup.sensor import Sensor
-from scripts.reproduce.results import ranges
+from scripts.reproduce.facts import RESULTS, ranges
+from scripts.reproduce.made_tables import table_of, write
 from scripts.studies.rows import seeds_of
-from scripts.studies.tables import RESULTS, table_of, write
 from scripts.studies.touch.contact_maker import SHAPES, ContactMaker, KnownContact, on_coarse_cells
 from scripts.studies.touch.contacts import contacts_of, dots_of
 

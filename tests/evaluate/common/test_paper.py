@@ -28,7 +28,7 @@ from evetac_cli.pages.report import page
 from evetac_cli.pages.report.study import Found
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.layout.ancestry import without_training_files
-from scripts.reproduce import results, run
+from scripts.reproduce import made_tables, table_text
 from scripts.reproduce import tables as experiment_tables
 
 ROW = {
@@ -57,8 +57,8 @@ def header(scene: str, *, simulated: bool = True) -> dict[str, Any]:
 def in_table(evaluated: dict[str, Any]) -> str:
     """The paper's figure and mark in the table of the documentation."""
     evaluation = experiment_tables.Evaluation([ROW], {}, True, evaluated)
-    result = run.result(experiment_tables.TRACKING_EDGE, {"tracking-edge-cut": evaluation}, [])
-    share, mark = results.published(result["columns"][1], result["rows"][0], result)
+    result = made_tables.result(experiment_tables.TRACKING_EDGE, {"tracking-edge-cut": evaluation}, [])
+    share, mark = table_text.published(result["columns"][1], result["rows"][0], result)
     return f"{float(share.rstrip('%')) / 100:g}, {mark}"
 
 
@@ -258,7 +258,7 @@ def test_columns_name_figures_and_hold_none() -> None:
     experiments = [one for one in vars(experiment_tables).values() if isinstance(one, experiment_tables.Table)]
     tables = experiments
     columns = [column for table in tables for column in (*table.columns, *([table.across] if table.across else []))]
-    named = [key for column in columns for key in results.keys(column.paper)]
+    named = [key for column in columns for key in table_text.keys(column.paper)]
     shown = [name for subject in SUBJECTS for table in subject.tables for name in table.columns]
     named += [f"paper_{name}" for name in shown if f"paper_{name}" in PAPER.columns]
     assert len(named) > 20 and set(named) <= PAPER.columns.keys()

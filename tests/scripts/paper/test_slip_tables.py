@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from scripts.paper import slip_tables
-from scripts.reproduce import results, run
+from scripts.reproduce import made_tables, table_text
 from scripts.reproduce.tables import Evaluation
 
 ABOUT = {"preset": "paper", "trajectories": 4, "folds": 0, "true_slip_share": False}
@@ -52,8 +52,10 @@ def test_first_detections_by_time_and_object() -> None:
 
 def test_the_table_of_first_detections() -> None:
     """Assert that a table shows shares and the paper's figure over all objects alone, with a mark."""
-    made = run.result(slip_tables.SLIP_TIMING, evaluations(slip_tables.UNSEEN, detection("10", "a", -5)), ["evetac x"])
-    heads, every, one = results.lines(made)
+    made = made_tables.result(
+        slip_tables.SLIP_TIMING, evaluations(slip_tables.UNSEEN, detection("10", "a", -5)), ["evetac x"]
+    )
+    heads, every, one = table_text.lines(made)
     assert heads[:2] == ["object", "slips"] and heads[5] == "-10 to 0 ms (paper)"
     assert every[5] == "1.00; 1.00 (0.57, other method)" and one[5] == "1.00; 1.00"
     assert {"share_low", "bin", "seeds", "preset"} <= made["rows"][0].keys()

@@ -7,12 +7,12 @@ from typing import Any
 import pytest
 
 from evetac_cli.jobs import Row
-from scripts.reproduce import check_tables, compare
-from scripts.reproduce import run as reproduce
-from scripts.reproduce.checks import CHECKS, NOT_CHECKED, SCRIPTS, SIZES, Check, Figure
-from scripts.reproduce.made_tables import Refusal
-from scripts.reproduce.needed import experiment_of, only_for
-from scripts.reproduce.plan import EXPERIMENTS, Experiment
+from scripts.reproduce import check_tables, compare, perform
+from scripts.reproduce.check_tables import experiment_of, only_for
+from scripts.reproduce.checks import CHECKS, NOT_CHECKED, SCRIPTS, SIZES
+from scripts.reproduce.experiment import Check, Experiment, Figure
+from scripts.reproduce.facts import RESULTS, ROOT, Refusal
+from scripts.reproduce.plan import EXPERIMENTS
 from scripts.reproduce.steps import evetac
 from scripts.reproduce.tables import Column, Evaluation, Table
 from scripts.ship import strip_model
@@ -133,8 +133,7 @@ def fake_trials(evaluations: dict[str, Evaluation]) -> list[Row]:
 def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A stored table of ten trajectories, and its check on three; returns the folder of the stored tables."""
     results = tmp_path / "results"
-    monkeypatch.setattr("scripts.reproduce.plan.EXPERIMENTS", (FAKE,))
-    monkeypatch.setattr("scripts.reproduce.needed.EXPERIMENTS", (FAKE,))
+    monkeypatch.setattr(perform, "EXPERIMENTS", (FAKE,))
     monkeypatch.setattr(check_tables, "EXPERIMENTS", (FAKE,))
     monkeypatch.setattr(check_tables, "RESULTS", results)
     monkeypatch.setattr(check_tables, "MODELS", results / "models")
@@ -142,7 +141,7 @@ def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(check_tables, "CHECKS", {"fake": check})
     monkeypatch.setattr(check_tables, "SIZES", {"fake": {"count": 3}})
     monkeypatch.setattr(check_tables, "SCRIPTS", {})
-    reproduce.perform(FAKE, FAKE.full, tmp_path / "whole", results, jobs=1, replace=True, run=FakeRun(10),
+    perform.perform(FAKE, FAKE.full, tmp_path / "whole", results, jobs=1, replace=True, run=FakeRun(10),
                       header=lambda path: HEADER)  # fmt: skip
     return results
 
@@ -192,9 +191,9 @@ def test_a_table_made_again_is_compared(fake: Path, tmp_path: Path, capsys: pyte
 def test_scripts_take_the_words_of_their_checks(name: str) -> None:
     """Assert that the script is there, has each flag, and that the table is stored and made by it."""
     for _, path, *words in SCRIPTS[name].commands:
-        text = (reproduce.ROOT / path).read_text()
+        text = (ROOT / path).read_text()
         assert all(f'"{word}"' in text for word in words if word.startswith("--"))
-        stored = json.loads((reproduce.RESULTS / f"{name}.json").read_text())
+        stored = json.loads((RESULTS / f"{name}.json").read_text())
         assert path in stored["commands"][0]
         assert {key for figure in SCRIPTS[name].check.figures for key in (figure.above, figure.count)} - {""} <= {
             key for row in stored["rows"] for key in row
@@ -226,8 +225,8 @@ def not_packed(tables: dict[str, Row], names: set[str]) -> list[str]:
 
 def test_models_of_frozen_tables_are_packed() -> None:
     """Assert that each model that a frozen table names is in an archive, and that a missing one is found."""
-    names = strip_model.names_in(reproduce.MODELS)
-    tables = {path.stem: json.loads(path.read_text()) for path in reproduce.RESULTS.glob("*.json")}
+    names = strip_model.names_in(perform.MODELS)
+    tables = {path.stem: json.loads(path.read_text()) for path in RESULTS.glob("*.json")}
     experiments = {name: table for name, table in tables.items() if name in CHECKS and CHECKS[name].training}
     assert not_packed(experiments, names) == []
     doctored = {"a": {"frozen": "f9c755f9", "models": {"nothing/lost-s1": "0"}}}

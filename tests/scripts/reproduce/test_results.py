@@ -11,7 +11,7 @@ from evetac_cli.evaluate.slip.tables import TRUE_SLIP_SHARE
 from evetac_cli.kernels.slip.training import PRESETS
 from evetac_cli.store.layout.ancestry import LEARNED_TRUTH_METHODS
 from scripts.paper.summary import Figure
-from scripts.reproduce import results
+from scripts.reproduce import results, table_text
 
 DOCS = results.ROOT / "docs"
 
@@ -54,7 +54,7 @@ RESULT = {
 
 def test_a_table_says_how_it_was_made() -> None:
     """Assert that title, commit, marks, notes, place of the commands and seeds stand around the rows."""
-    assert results.text(RESULT) == (
+    assert table_text.text(RESULT) == (
         "Simulated. Grip of object 3 (commit abc1234):\n\n| who | kept (paper) |\n| --- | --- |\n"
         "| a | 0.50 (0.80, fitted) |\n| b | 1.00 |\n\nA note.\n\n"
         "Commands: `docs/results/grip.json`; seeds of recordings 7-9, 20.\n"
@@ -77,8 +77,8 @@ def test_the_summary_takes_cells_of_tables(tmp_path: Path, monkeypatch: pytest.M
 
 def test_a_long_table_is_folded() -> None:
     """Assert that a table of more than ten rows opens on a click, with the same parts."""
-    text = results.text(RESULT | {"title": "Grip of `a`", "rows": 6 * RESULT["rows"]})  # type: ignore[operator]
+    text = table_text.text(RESULT | {"title": "Grip of `a`", "rows": 6 * RESULT["rows"]})  # type: ignore[operator]
     assert text.startswith(
         '<details markdown="1">\n\n<summary>Simulated. Grip of <code>a</code> (commit abc1234), 12 rows</'
     )
-    assert text.endswith("A note.\n\n" + results.how_made(RESULT) + "\n\n</details>\n")
+    assert text.endswith("A note.\n\n" + table_text.how_made(RESULT) + "\n\n</details>\n")

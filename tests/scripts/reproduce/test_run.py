@@ -1,6 +1,5 @@
 """scripts/reproduce/run.py: tables say what was run, and no run destroys what another has kept."""
 
-import importlib
 import json
 import os
 import re
@@ -18,11 +17,12 @@ import typer
 
 from evetac_cli.cli.main import app
 from evetac_cli.jobs import Row
-from scripts.reproduce import report_facts, results
-from scripts.reproduce import run as reproduce
-from scripts.reproduce.made_tables import Refusal
-from scripts.reproduce.plan import EXPERIMENTS, Experiment
+from scripts.reproduce import facts, perform, results, run
+from scripts.reproduce.experiment import Experiment
+from scripts.reproduce.facts import ROOT, Refusal
+from scripts.reproduce.plan import EXPERIMENTS
 from scripts.reproduce.steps import evetac
+from scripts.reproduce.table_text import text
 from scripts.reproduce.tables import Column, Evaluation, Table, summaries
 from tests.patience import PATIENCE_S
 
@@ -93,7 +93,7 @@ def run_labels(tmp_path: Path, objects: list[int], *, replace: bool = False) -> 
     """An experiment whose program labels these objects whatever it is asked."""
     fake = FakeEvetac(objects)
     experiment = EXAMPLE
-    reproduce.perform(
+    perform.perform(
         experiment, dict(experiment.full), tmp_path, tmp_path / "results",
         jobs=3, replace=replace, run=fake.run, header=fake.header,
     )  # fmt: skip
@@ -110,7 +110,7 @@ def test_a_table_says_what_its_reports_say(tmp_path: Path) -> None:
     assert table["recipe_ids"] == ["r"]
     assert table["commands"] == ["evetac evaluate labels *.labels.h5"]
     assert {"commit", "uncommitted_changes"} <= set(table)
-    assert "| 4 of 4 | 1 | 2 | 0.50 | 0 |" in results.text(table)
+    assert "| 4 of 4 | 1 | 2 | 0.50 | 0 |" in text(table)
 
 
 def test_jobs_are_handed_on(tmp_path: Path) -> None:
@@ -139,7 +139,7 @@ def test_a_command_that_fails_ends_the_run(tmp_path: Path) -> None:
     """Assert that the refusal names the command and its exit code, and that no table is written."""
     experiment = EXAMPLE
     with pytest.raises(Refusal, match="evetac record .* exit code 3"):
-        reproduce.perform(
+        perform.perform(
             experiment, dict(experiment.full), tmp_path, tmp_path / "results",
             jobs=1, replace=False, run=lambda words, folder: (3, ""), header=lambda path: {},
         )  # fmt: skip
@@ -154,7 +154,7 @@ def test_a_report_of_other_files_is_made_anew(tmp_path: Path) -> None:
         commands.append(words)
         return (0, '{"rows": [], "summary": {}, "simulated": true}') if "--force" in words else (2, "")
 
-    reproduce.evaluate("labels", ["evetac", "evaluate", "labels"], tmp_path, run, lambda path: header([1]))
+    perform.evaluate("labels", ["evetac", "evaluate", "labels"], tmp_path, run, lambda path: header([1]))
     assert [words[-1] for words in commands] == ["--json", "--force"]
 
 
@@ -163,15 +163,11 @@ def test_facts_keep_training_apart() -> None:
     trained = {"recording": "t", "role": "trained on", "object": 9, "sensor": "evetac"}
     model = {"kind": "model", "seed": None, "parents": ["f"], "parameters": {"seed": 4, "max_steps": 200}}
     grasped = {"kind": "recording", "seed": 7, "parents": ["m"], "parameters": {"object": 11, "sensor": "second"}}
-    known = report_facts.facts(
-        [{"parents": ["g"], "history": {"m": {**model, "trajectories": [trained]}, "g": grasped}}]
-    )
+    known = facts.facts([{"parents": ["g"], "history": {"m": {**model, "trajectories": [trained]}, "g": grasped}}])
     assert (known["recordings"], known["objects"], known["sensors"]) == (1, [11], ["second"])
     assert (known["models"], known["training_seeds"], known["training_steps"]) == (1, [4], 200)
     assert (known["training_recordings"], known["training_objects"]) == (1, [9])
-    of_grasp = report_facts.facts(
-        [{"parents": ["g"], "history": {"m": model, "g": grasped}}]
-    )  # as files of today have it
+    of_grasp = facts.facts([{"parents": ["g"], "history": {"m": model, "g": grasped}}])  # as files of today have it
     assert (of_grasp["models"], of_grasp["training_seeds"], of_grasp["training_recordings"]) == (1, [4], 0)
 
 
@@ -180,7 +176,7 @@ def test_dry_run_prints_and_runs_nothing(
 ) -> None:
     """Assert that the commands of an experiment and of those before it are printed in order, at the sizes asked for."""
     monkeypatch.setattr("subprocess.run", lambda *a, **k: pytest.fail("something was run"))
-    reproduce.main(["--only", "paper-recipe", "--small", "--size", "steps=7", "--dry-run", "--out", str(tmp_path)])
+    run.main(["--only", "paper-recipe", "--small", "--size", "steps=7", "--dry-run", "--out", str(tmp_path)])
     printed = capsys.readouterr().out
     assert f"cd {tmp_path}/small/data/paper-recipe" in printed
     commands = [line.split()[1] for line in printed.splitlines() if line.startswith("evetac")]
@@ -191,7 +187,7 @@ def test_dry_run_prints_and_runs_nothing(
 
 def test_the_recipe_is_changed_in_one_thing_at_a_time() -> None:
     """Assert what each training of the paper's recipe learns from: all but one thing is the paper's."""
-    sizes = reproduce.sizes_for(BY_NAME["paper-recipe"], small=False, given={})
+    sizes = perform.sizes_for(BY_NAME["paper-recipe"], small=False, given={})
     commands = [words[1:] for words in BY_NAME["paper-recipe"].steps(sizes)]
 
     def value(words: Sequence[str], flag: str) -> str:
@@ -219,12 +215,12 @@ def test_the_recipe_is_changed_in_one_thing_at_a_time() -> None:
 def test_wrong_names_and_sizes_are_refused(words: list[str]) -> None:
     """Assert that an experiment or size that does not exist, and a size of another type, end with an error."""
     with pytest.raises(SystemExit, match="error: "):
-        reproduce.main([*words, "--dry-run"])
+        run.main([*words, "--dry-run"])
 
 
 def test_every_experiment_is_a_make_target() -> None:
     """Assert that make targets and experiments have the same names."""
-    makefile = (reproduce.ROOT / "Makefile").read_text()
+    makefile = (ROOT / "Makefile").read_text()
     targets = re.findall(r"^([\w-]+):.*\n\t@\$\(REPRODUCE\) --only \$@$", makefile, re.MULTILINE)
     assert sorted(targets) == sorted(BY_NAME)
 
@@ -234,10 +230,10 @@ def test_every_experiment_is_a_make_target() -> None:
 def test_commands_exist(name: str, *, small: bool) -> None:
     """Assert that every command of every experiment parses: commands, flags and values are those of today."""
     experiment = BY_NAME[name]
-    sizes = reproduce.sizes_for(experiment, small=small, given={})
+    sizes = perform.sizes_for(experiment, small=small, given={})
     for program, *words in (*experiment.steps(sizes), *experiment.evaluations(sizes).values()):
         if program == "python":
-            assert (reproduce.ROOT / words[0]).exists()
+            assert (ROOT / words[0]).exists()
             continue
         command: Any = COMMAND_LINE
         while hasattr(command, "commands"):
@@ -253,8 +249,6 @@ def test_experiments_fit_together(name: str) -> None:
     assert set(experiment.small) <= set(experiment.full)
     evaluations = set(experiment.evaluations(dict(experiment.full)))
     if experiment.measure:
-        module, _, function = experiment.measure.rpartition(".")
-        assert callable(getattr(importlib.import_module(module), function))
         evaluations |= {table.name for table in experiment.tables}
     assert {name for table in experiment.tables for name in table.evaluations} <= evaluations
 
@@ -263,11 +257,11 @@ def test_a_table_names_the_methods_that_changed(tmp_path: Path) -> None:
     """Assert that a table made by an older method than today's says by which, and one made by today's says nothing."""
     run_labels(tmp_path, [1])
     table = json.loads((tmp_path / "results" / "labels.json").read_text())
-    table["methods"] = {"label": results.method("label") - 1, "record": results.method("record")}
-    today = results.method("label")
-    assert f"label {today - 1} (now {today})" in results.text(table)
-    table["methods"] = {"record": results.method("record")}
-    assert "older" not in results.text(table)
+    table["methods"] = {"label": facts.method("label") - 1, "record": facts.method("record")}
+    today = facts.method("label")
+    assert f"label {today - 1} (now {today})" in text(table)
+    table["methods"] = {"record": facts.method("record")}
+    assert "older" not in text(table)
 
 
 def test_a_page_is_filled_between_its_marks(tmp_path: Path) -> None:
@@ -292,9 +286,10 @@ def interrupt_when(
     shows: Callable[[Path], bool], folder: Path, words: Sequence[str], times: int = 1
 ) -> tuple[int, str]:
     """Run the script as a terminal does, press Ctrl-C once something shows; its exit code and what it said."""
-    script = Path(reproduce.__file__)
-    run = [sys.executable, str(script), *words, "--out", str(folder), "--results", str(folder / "results")]
-    process = subprocess.Popen(run, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True)
+    command = [sys.executable, run.__file__, *words, "--out", str(folder), "--results", str(folder / "results")]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+    )
     try:
         while not shows(folder):
             assert process.poll() is None, process.communicate()[0]

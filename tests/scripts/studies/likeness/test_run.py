@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from evetac_cli.evaluate.likeness.facts import Ours, by_name, facts
-from scripts.reproduce.run import RESULTS
+from scripts.reproduce.facts import RESULTS
 from scripts.studies.likeness.run import of_table
 
 

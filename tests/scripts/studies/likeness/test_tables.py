@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli.evaluate.likeness.facts import facts
-from scripts.reproduce.results import as_table
 from scripts.studies.likeness import tables as likeness_tables
 
 
@@ -20,17 +19,16 @@ def measured(folder: Path, **values: list[float]) -> None:
 def test_facts_stand_beside_ours(tmp_path: Path) -> None:
     """Assert how figures of ours compare, that they are counted, and that those off have a reason."""
     measured(tmp_path, one_slice=[0.35], data_rate_whole=[0.017])
-    pages = likeness_tables.as_pages(tmp_path, as_table)
-    counted = pages["likeness-counted"]
+    counted = likeness_tables.as_counted(tmp_path)
     assert "| 0.35 (off; n 3) |" in counted and "| 0.017 (within; n 3) |" in counted and "| not measured |" in counted
-    assert pages["likeness-off"].startswith("- `one-slice`: the simulated slip is slow")
+    assert likeness_tables.STUDY.pages["likeness-off"](tmp_path).startswith("- `one-slice`: the simulated slip is slow")
     assert "1 of these 19 facts are within" in likeness_tables.answer(tmp_path)
 
 
 def test_every_fact_has_a_row(tmp_path: Path) -> None:
     """Assert that each fact stands in one of the two tables, once, with its public figure and class."""
     measured(tmp_path, one_slice=[0.35])
-    text = "".join(likeness_tables.as_pages(tmp_path, as_table).values())
+    text = likeness_tables.as_counted(tmp_path) + likeness_tables.as_others(tmp_path)
     lines = [line for line in text.splitlines() if line.startswith("| ")]
     for fact in facts():
         (line,) = (line for line in lines if f"`{fact.name}`: " in line)

@@ -9,7 +9,7 @@ import pytest
 from evetac_cli.errors import SceneError
 from evetac_cli.evaluate.slip import warnings as slip_warnings
 from evetac_cli.evaluate.slip.warnings import RULES
-from scripts.reproduce import results
+from scripts.reproduce.table_text import fill
 from scripts.studies.motions import MOTIONS, Trial
 from scripts.studies.slip import oracles
 from scripts.studies.slip import tables as slip_tables
@@ -114,7 +114,7 @@ def test_rows_are_kept_and_tables_made_of_them(tmp_path: Path, monkeypatch: pyte
     (row,) = ideas["rows"]
     assert (row["idea"], row["seeds"], row["timing"], row["timing_sd"], row["partial"]) == ("ours", 1, 1.0, None, 0.0)
     for table in (timing, *warnings, motions, paired, ideas):
-        shown = [[results.fill(column["cell"], row) for column in table["columns"]] for row in table["rows"]]
+        shown = [[fill(column["cell"], row) for column in table["columns"]] for row in table["rows"]]
         assert all(cells[0] for cells in shown)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.kernels.touch.sticking import INPUTS, StickingNetwork, slip_estimate
-from scripts.reproduce import results
+from scripts.reproduce.table_text import fill
 from scripts.studies import motions
 from scripts.studies.motions import Trial
 from scripts.studies.sticking import judge, trials
@@ -52,7 +52,7 @@ def test_errors_slips_and_alarms_are_counted() -> None:
     assert row["within_sd"] == 30  # 0.1 off, and the deviation is 0.4
     shown = judge.summary("slip", [row, row])
     assert shown["network_error"] == pytest.approx(0.1) and shown["direction_off_deg"] == pytest.approx(5.73, abs=0.01)
-    assert all(results.fill(cell, shown) for cell in judge.COLUMNS.values())
+    assert all(fill(cell, shown) for cell in judge.COLUMNS.values())
     early = np.zeros(400, np.bool_)
     early[170:] = True  # 150 ms before the share is above 0.05
     assert judge.judged(trial(share, slips), looks(400, 0.4, early))["network_early"] == 1

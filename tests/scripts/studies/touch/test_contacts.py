@@ -9,7 +9,7 @@ from evetac_cli.jobs import Row
 from evetac_cli.kernels.touch import touch_map
 from evetac_cli.sim.setup.plan import named_sensor
 from evetac_cli.sim.setup.sensor import Sensor
-from scripts.reproduce import results
+from scripts.reproduce.table_text import fill
 from scripts.studies.touch import contacts as study
 from scripts.studies.touch.contact_maker import ContactMaker
 
@@ -52,7 +52,7 @@ def test_a_contact_is_read_and_judged() -> None:
     shown = study.summary("known", [row])
     assert shown["iou_wide"] == shown["iou"] == row["iou"] and shown["n"] == 1
     for columns in (study.ERROR_COLUMNS, study.COVERAGE_COLUMNS):
-        assert all(results.fill(cell, shown) for cell in columns.values())
+        assert all(fill(cell, shown) for cell in columns.values())
 
 
 def test_seeds_of_the_table_are_not_those_that_chose() -> None:

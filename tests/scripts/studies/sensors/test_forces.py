@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from scripts.reproduce.tables import Evaluation
-from scripts.studies import plans
+from scripts.studies.sensors import forces
 
 HEADER: dict[str, Any] = {
     "id": "a",
@@ -22,7 +22,7 @@ def of_states(*states: str) -> Evaluation:
     """An evaluation of touch maps, with these states of knowledge."""
     summary: dict[str, Any] = {"sensors": 3, "stiffness_error": 0.1}
     for number, state in enumerate(states):
-        summary |= {f"{state}_{key}": number + 0.125 for key in plans.FIGURES}
+        summary |= {f"{state}_{key}": number + 0.125 for key in forces.FIGURES}
     return Evaluation([], summary | {"identified_sensors": 2}, True, HEADER)
 
 
@@ -31,14 +31,14 @@ def of_paper(*errors: float) -> Evaluation:
     rows = [
         {"model": model, "sensor_name": f"randomized:{number}", "mae_n_x": error, "mae_n_y": error + 1.0}
         for number, error in enumerate(errors)
-        for model in plans.PAPER_MODELS
+        for model in forces.PAPER_MODELS
     ]
     return Evaluation(rows, {}, True, HEADER)
 
 
 def test_rows_of_the_table() -> None:
     """Assert a row for every state that was evaluated, of the tracker it was, and means over sensors of the paper's."""
-    rows = plans.sensor_rows(
+    rows = forces.sensor_rows(
         {
             "stable": of_states("unknown", "identified"),
             "paper": of_states("unknown"),

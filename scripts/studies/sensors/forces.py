@@ -1,27 +1,11 @@
-"""Define the studies that go beyond the paper's experiments: their commands, and the tables of their measurements.
-
-Two are evaluated in modules of their own (parts/effects.py, sensors/blind.py). Two are evaluated by programs: the
-touch sensor and the examples by robots/tables.py, forces by `evetac evaluate force`.
-"""
+"""Forces from touch maps on sensors that no model saw, with different knowledge of the gel."""
 
 from collections.abc import Iterator
 
 from evetac_cli.jobs import Rows
+from scripts.reproduce.experiment import Experiment, Study
 from scripts.reproduce.steps import Command, Sizes, evetac, script
 from scripts.reproduce.tables import Column, Evaluation, Evaluations, Table
-
-
-def all_rows(evaluations: Evaluations) -> Rows:
-    """Return the measured rows unchanged."""
-    return [row for evaluation in evaluations.values() for row in evaluation.rows]
-
-
-def measured(name: str, title: str, *columns: tuple[str, str], notes: tuple[str, ...] = ()) -> Table:
-    """Return the table of a measurement of the same name; columns are heading and cell."""
-    return Table(name, title, (name,), all_rows, tuple(Column(*one) for one in columns), notes=notes, measured=True)
-
-
-# --- forces on sensors that no model saw ------------------------------------------------------------------------------
 
 TRACKERS = {"stable": "", "paper": "paper/"}  # folder of its tracks
 STATES = {  # as `evaluate force` names them
@@ -138,90 +122,15 @@ FORCE_OBJECTS = Table(
     kept=False,
 )
 
-# --- what each part does to each stage --------------------------------------------------------------------------------
-
-# A figure of parts/effects.py: heading and format of its cells.
-PART_FIGURES = {
-    "events_ms": ("events per ms", ".1f"),
-    "tracking_px": ("tracking error [px]", ".3f"),
-    "labels_in_time": ("labels in time", ".2f"),
-    "labels_f1": ("F1 of labels", ".2f"),
-    "slip_in_time": ("slip detected in time", ".2f"),
-    "slip_f1": ("F1 of detector", ".2f"),
-    "record_us": ("time to simulate [us per slice]", ".0f"),
-    "rest_us": ("time to label, track, featurize and evaluate [us per slice]", ".0f"),
-    "held": ("grasps held", ".2f"),
-    "moved_mm": ("object moved in a grasp [mm]", ".2f"),
-}
-PART_EFFECTS = measured(
-    "part-effects",
-    "Effect of each part on each stage, {slips} slips and {grasps} grasps with each",
-    ("part", "{part}"),
-    ("size", "{size}"),
-    *(
-        (heading, f"{{{name}:{form}}}, {{{name}_low:+{form}}} to {{{name}_high:+{form}}}")
-        for name, (heading, form) in PART_FIGURES.items()
+NOT_FROZEN = "not frozen: no result of the current method"
+STUDY = Study(
+    experiments=(
+        Experiment(
+            "force-sensors", "shear and normal force from touch maps of different sensors", "data/force-sensors", 3.0,
+            full={"first": 20_020, "sensors": 20, "adapt": 12}, small={"sensors": 1, "adapt": 1},
+            steps=force_sensor_steps, evaluations=force_sensor_evaluations,
+            tables=(FORCE_SENSORS, FORCE_OBJECTS), after=("blind-identification",),
+        ),
     ),
-    notes=(
-        "A figure is followed by the 95 % interval of its change (bootstrap over pairs of trials) if the interval"
-        " excludes 0. With fewer than some ten pairs the interval is too narrow, and one in 20 figures would have one"
-        " by chance. Run times are processor times, measured while other work ran.",
-    ),
-)
-
-# --- sensors identified blindly ---------------------------------------------------------------------------------------
-
-BLIND_IDENTIFICATION = measured(
-    "blind-identification",
-    "Parameters of sensors randomized-narrow:{first} to {last} in blind identification",
-    ("parameter", "{parameter}"),
-    ("estimated", "{estimated} of {sensors}"),
-    ("95 % interval contained the true value", "{held}"),
-    ("width over the range of `randomized-narrow`, mean", "{width_mean:.2f}"),
-    ("worst", "{width_worst:.2f}"),
-    ("identifiable", "{found}"),
-    notes=("Parameters that were estimated for no sensor cannot be identified.",),
-)
-
-# --- robot simulators -------------------------------------------------------------------------------------------------
-
-TOUCH_COST = measured(
-    "touch-cost",
-    "Run time of a simulated millisecond of the touch sensor",
-    ("contact", "{contact}"),
-    ("CPU us per ms", "{CPU_us_a_ms:,.1f}"),
-    ("with slip detector CPU us per ms", "{with_slip_detector_CPU_us_a_ms:,.1f}"),
-)
-MUJOCO_GRASPS = measured(
-    "mujoco-grasps",
-    "Grasps in MuJoCo",
-    ("controller", "{controller}"),
-    ("trials", "{trials}"),
-    ("lifted", "{lifted}"),
-    ("grip at the end N median", "{grip_at_the_end_N_median:.2f}"),
-    ("steps of 1 ms a CPU second median", "{steps_of_1_ms_a_CPU_second_median:,.0f}"),
-)
-LIFT_BASELINE = measured(
-    "lift-baseline",
-    "Policies for evetac/Lift-v0, means over the evaluated episodes",
-    ("policy", "{policy}"),
-    ("return", "{return:.3g}"),
-    ("lifted", "{lifted:.3g}"),
-    ("kept", "{kept:.3g}"),
-    ("mean grip N", "{mean_grip_N:.3g}"),
-)
-
-
-def mujoco_steps(sizes: Sizes) -> Iterator[Command]:
-    yield ["python", "examples/mujoco_grasp.py", "--trials", str(sizes["trials"]), "--seed", str(sizes["seed"]),
-           "--json", trials_file(sizes)]  # fmt: skip
-
-
-def lift_steps(sizes: Sizes) -> Iterator[Command]:
-    flags = (word for name, value in sizes.items() for word in (f"--{name.replace('_', '-')}", str(value)))
-    yield ["python", "examples/cma_lift.py", *flags, "--json", trials_file(sizes)]
-
-
-def trials_file(sizes: Sizes) -> str:
-    """Return an example's output file, named by its sizes, because it has no recipe that distinguishes runs."""
-    return "-".join(str(value) for value in sizes.values()) + ".json"
+    checks={"force-sensors": NOT_FROZEN, "force-objects": NOT_FROZEN},
+)  # fmt: skip
