@@ -117,17 +117,6 @@ def test_an_impossible_rate_is_refused(tmp_path: Path) -> None:
     assert read_events(tmp_path / "dsec.h5", frame_px=FRAME, time_unit="ns").slices == 2000
 
 
-@pytest.mark.parametrize(
-    ("given", "expected"),
-    [("hours", "s or ms or us or ns"), ("s", "unit of time differs")],
-)
-def test_a_unit_that_cannot_be(tmp_path: Path, given: str, expected: str) -> None:
-    """Assert that a unit that is none, or that the file contradicts, is refused."""
-    path = tmp_path / "a.npz"
-    np.savez(path, t_us=T_US, x=X, y=Y, p=P)
-    assert expected in refusal(path, frame_px=FRAME, time_unit=given)
-
-
 @pytest.mark.parametrize("values", [(255, 1), (65535, 1), (2**32 - 1, 1), (2**64 - 1, 1)])
 @pytest.mark.parametrize("kind", ["u", "f", "table"])
 def test_minus_one_without_a_sign(tmp_path: Path, values: tuple[int, int], kind: str) -> None:
@@ -143,17 +132,6 @@ def test_minus_one_without_a_sign(tmp_path: Path, values: tuple[int, int], kind:
     imported = read_events(path, frame_px=FRAME)
     assert imported.events.p.tolist() == P.tolist()
     assert f"polarity {values[0]} was read as -1 (darker)" in imported.notes
-
-
-@pytest.mark.parametrize("spoken", [("False", "True"), ("false", "true"), ("FALSE", "TRUE")])
-@pytest.mark.parametrize("separator", [",", ";", " "])
-def test_polarity_in_words(tmp_path: Path, spoken: tuple[str, str], separator: str) -> None:
-    """Assert that True and False are brighter and darker, as pandas and others write them."""
-    rows = zip(T_US[:500].tolist(), X.tolist(), Y.tolist(), (spoken[p] for p in P.tolist()), strict=False)
-    lines = [separator.join(("t", "x", "y", "on")), *(separator.join(map(str, row)) for row in rows)]
-    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
-    imported = read_events(tmp_path / "a.csv", frame_px=FRAME)
-    assert imported.events.p.tolist() == P[:500].tolist()
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials.grasp.online_detector import open_view_detector
 from evetac_cli.trials.live_view.samples import MOST_BEHIND, MOST_COUNT, SHOWN_MS, Follower, LiveTouch
-from evetac_cli.trials.live_view.shared_view import GripperNumbers, SharedView
+from evetac_cli.trials.live_view.shared_view import SharedView
 from tests.conftest import Made
 
 SLICES = 200
@@ -59,22 +59,6 @@ def test_dots_and_slip_are_those_of_the_detector(made: Made, by: int) -> None:
         assert sample["probability"] == pytest.approx(expected.probability, rel=1e-4)
         assert sample["normal_n"] is not None
         assert sample["normal_n"] >= 0
-
-
-def test_the_loops_own_probability_goes_first(made: Made) -> None:
-    """Assert that where the loop knows the probability, its highest since the last sample is shown."""
-    with open_recording(made.recordings[0]) as recording:
-        sensor = recording.sensor_datasets()
-    shared = SharedView()
-    follower = Follower(shared)
-    follower.begin(sensor, partial(open_view_detector, made.model, "stable", 0.4))
-    for probability in (0.25, 0.75, float("nan"), 0.5):
-        shared.add_slice(of_pixels([]), 1500.0 * (1 + (probability == 0.5)), probability)
-    shared.set_gripper(GripperNumbers(400, 402, 20.0, float("nan"), 3, 2))
-    sample = follower.sample()
-    assert sample["probability"] == 0.75
-    assert (sample["late_ms"], sample["late_most_ms"]) == (1.5, 3.0)
-    assert (sample["position_ticks"], sample["goal_ticks"], sample["goal_ma"], sample["missed"]) == (400, 402, None, 3)
 
 
 def test_without_a_grid_there_are_events_and_a_reason() -> None:

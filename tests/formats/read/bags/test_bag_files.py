@@ -200,26 +200,6 @@ def test_files_that_are_not_read_are_named(tmp_path: Path) -> None:
     ]
 
 
-def test_odd_numbers_of_files(tmp_path: Path) -> None:
-    """Assert that two files of one number, and a number out of all measure, are not one bag."""
-    folder = split(tmp_path / "bag")
-    types = Types("mcap")
-    other = write_mcap(tmp_path / "trial_01.mcap", types, {"/e": messages(types)[:1]}).rename(folder / "trial_01.mcap")
-    assert "not all parts of one bag" in refusal(folder)
-    other.rename(folder / "trial_100000000.mcap")
-    assert "not all parts of one bag" in refusal(folder)
-
-
-@pytest.mark.parametrize("count", [40, 41, 7])
-def test_metadata_that_say_another_count_are_noted(tmp_path: Path, count: int) -> None:
-    """Assert that all messages come whatever the metadata say, and that a note tells of the difference."""
-    folder = about(split(tmp_path / "bag", 1), "trial_0.mcap", count=count)
-    imported = read_events(folder)
-    assert event_rows(imported) == shifted(EVENTS)
-    said = f"metadata.yaml states {count} messages, but the bag has 40"
-    assert imported.notes == ([] if count == 40 else [said])
-
-
 def test_ways_of_packing_that_are_not_read_are_refused(tmp_path: Path) -> None:
     """Assert that metadata with another way of packing are believed: its messages would look damaged."""
     folder = about(split(tmp_path / "bag", 1), "trial_0.mcap", compression_format="lz4")

@@ -195,16 +195,6 @@ def test_a_database_that_computes_is_refused(what: str, tmp_path: Path) -> None:
     assert refusal(path)
 
 
-def test_a_message_that_is_cut_is_left_out(tmp_path: Path) -> None:
-    """Assert that of a file without chunks only whole messages come, wherever it is cut."""
-    data = mcap(tmp_path / "a.mcap", use_chunking=False).read_bytes()
-    path = tmp_path / "cut.mcap"
-    for cut in np.random.default_rng(4).integers(len(data) // 9, len(data) // 2, 10).tolist():
-        path.write_bytes(data[:cut])
-        imported = read_events(path)
-        assert event_rows(imported) == ROWS[: imported.size] and not imported.size % SIZE
-
-
 def test_messages_of_ros_1_in_mcap_come(tmp_path: Path) -> None:
     """Assert that MCAP files that were made of bags of ROS 1 are read, with the layout of ROS 1."""
     types = Types("ros1")

@@ -82,29 +82,6 @@ def test_events_without_times_get_those_of_their_message(write: Write, bag: str,
     assert imported.notes[0] == f"no event has a time of its own: used {source}"
 
 
-@pytest.mark.parametrize("bag", BAGS)
-def test_images_without_stamps_get_the_times_of_reception(write: Write, bag: str) -> None:
-    """Assert the same for EvetacMsg, and that a single image without a stamp is left out and counted."""
-    types, grey = Types(bag), np.full((640, 480), 127, np.uint8)
-    grey[3, 4] = 142
-    times_us = [START_US + at * EVERY_US for at in range(20)]
-    imported = read_events(write(bag, types, {"/e": [types.image(0, grey)] * 20}, times_us=times_us))
-    assert [row[0] for row in event_rows(imported)] == list(range(0, 20 * EVERY_US, EVERY_US))
-    assert imported.notes[0].endswith(": used the time at which the recorder received the message")
-    made = [types.image(0 if at == 7 else us, grey) for at, us in enumerate(times_us)]
-    imported = read_events(write(bag, types, {"/e": made}, "one", times_us=times_us))
-    assert imported.size == 19 and imported.left_out == {"events whose time is 0, so never set": 1}
-
-
-@pytest.mark.parametrize(("first_us", "kept"), [(1000, 4), (START_US, 2)])
-def test_single_events_without_a_time_are_left_out(write: Write, first_us: int, kept: int) -> None:
-    """Assert that events at 0 are kept only where a simulation's clock begins with them."""
-    types = Types("db3")
-    times_us = [0, 0, first_us, first_us + 1000]
-    imported = read_events(write("db3", types, {"/e": [types.array([(us, 1, 2, 1)]) for us in times_us]}))
-    assert imported.size == kept and sum(imported.left_out.values()) == 4 - kept
-
-
 def joints(types: Types, us: int, names: list[str], position: list[float], velocity: list[float]) -> Any:
     parts = (np.array(values, float) for values in (position, velocity, []))
     return types.make("sensor_msgs/msg/JointState", types.header(us), names, *parts)
@@ -232,27 +209,3 @@ def test_late_and_unset_stamps_do_not_stop_a_stream(write: Write, bag: str, base
         "left out 1 sample whose stamp is 0, so never set",
         "1 sample came late, by up to 0.089999 s: sorted by time",
     ]
-
-
-def test_images_are_sorted_too(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that images go with their stamps, in parts of less than all."""
-    from evetac_cli.formats.read.bags import read_bag_stream
-
-    monkeypatch.setattr(read_bag_stream, "BLOCK_VALUES", 12)
-    types = Types("db3")
-    made = [
-        types.make("sensor_msgs/msg/Image", types.header(us), 2, 3, "mono8", 0, 3, np.full(6, us // 1000, np.uint8))
-        for us in (1000, 2000, 9000, 0, 3000, 4000)
-    ]
-    stream, notes = stream_of(write("db3", types, {"/topic": made}))
-    assert stream.frames is not None
-    assert stream.frames[:, 1, 2, 0].tolist() == [1, 2, 3, 4, 9] == (stream.t_us // 1000).tolist()
-    assert notes[1] == "2 samples came late, by up to 0.006 s: sorted by time"
-
-
-def test_a_simulation_begins_at_0(write: Write) -> None:
-    """Assert that the first stamp of a simulation's clock is kept."""
-    types = Types("db3")
-    made = [joints(types, us, ["a"], [us], []) for us in (0, 10_000, 20_000)]
-    stream, notes = stream_of(write("db3", types, {"/topic": made}))
-    assert stream.t_us.tolist() == [0, 10_000, 20_000] and notes == []
