@@ -215,14 +215,6 @@ def test_a_step_may_be_cut() -> None:
     assert [len(touch.slices) for touch in finer[:8]] == [0, 1, 0, 1, 1, 0, 1, 1]
 
 
-def test_the_generator_decides() -> None:
-    """Assert that the same generator gives the same events, and another one others at the same true dots."""
-    ones, same, others = (course(touched(seed=seed), 1) for seed in (1, 1, 2))
-    assert all(same_events(a.slices, b.slices) for a, b in zip(ones, same, strict=True))
-    assert not all(same_events(a.slices, b.slices) for a, b in zip(ones, others, strict=True))
-    assert np.array_equal(ones[-1].dot_xy_px, others[-1].dot_xy_px)
-
-
 def test_force_beyond_friction_slides_and_stays_bounded() -> None:
     """Assert that an excess of shear force slides the object by excess over damping, and that it stops when it ends."""
     sensor = touched({**BOX, "kinetic_share": 1.0})

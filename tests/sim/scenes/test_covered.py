@@ -1,37 +1,25 @@
-"""Shares of cells under a face: areas of closed forms, wherever the face lies, and even motion."""
-
-import math
+"""Shares of cells under a face, wherever it lies, and even motion."""
 
 import numpy as np
 import pytest
 
 from evetac_cli.arrays import Floats
-from evetac_cli.sim.gel.contact import cell_area, pad_nodes
+from evetac_cli.sim.gel.contact import pad_nodes
 from evetac_cli.sim.scenes.covered import NO_HOLE, covered
 
 NODES = pad_nodes(24, 18, (-10e-3, 10e-3), (-7.5e-3, 7.5e-3))
-FACES: dict[str, tuple[tuple[float, float], bool, Floats, float]] = {  # half sides, round, hole, area in m2
-    "rectangle": ((5.3e-3, 3.1e-3), False, NO_HOLE, 4 * 5.3e-3 * 3.1e-3),
-    "disc": ((4.7e-3, 4.7e-3), True, NO_HOLE, math.pi * 4.7e-3**2),
-    "ellipse": ((6.1e-3, 3.9e-3), True, NO_HOLE, math.pi * 6.1e-3 * 3.9e-3),
-    "ring": ((6.1e-3, 4.5e-3), True, np.array([4.8e-3, 3.2e-3]), math.pi * (6.1e-3 * 4.5e-3 - 4.8e-3 * 3.2e-3)),
+FACES: dict[str, tuple[tuple[float, float], bool, Floats]] = {  # half sides, round, hole
+    "rectangle": ((5.3e-3, 3.1e-3), False, NO_HOLE),
+    "disc": ((4.7e-3, 4.7e-3), True, NO_HOLE),
+    "ellipse": ((6.1e-3, 3.9e-3), True, NO_HOLE),
+    "ring": ((6.1e-3, 4.5e-3), True, np.array([4.8e-3, 3.2e-3])),
 }
-
-
-@pytest.mark.parametrize("name", FACES)
-def test_areas_are_those_of_closed_forms(name: str) -> None:
-    """Assert within 0.5 % that the cells covered are as large as the face, wherever it lies on the pad."""
-    half_m, is_round, hole_m, area_m2 = FACES[name]
-    for place_m in np.random.default_rng(0).uniform(-2e-3, 2e-3, (20, 2)):
-        shares = covered(NODES, place_m, np.array(half_m), is_round=is_round, hole_m=hole_m)
-        assert shares.sum() * cell_area(NODES) == pytest.approx(area_m2, rel=5e-3)
-        assert 0.0 <= shares.min() <= shares.max() <= 1.0
 
 
 @pytest.mark.parametrize("name", FACES)
 def test_each_cell_is_that_of_its_points(name: str) -> None:
     """Assert that no cell is off by more than 4 % of it from the share of 32 x 32 points inside the face."""
-    half_m, is_round, hole_m, _ = FACES[name]
+    half_m, is_round, hole_m = FACES[name]
     fine = (np.arange(32) + 0.5) / 32 - 0.5
     pitch_m = NODES[1, 1] - NODES[0, 0]
     points = NODES[:, :, None, None, :] + np.stack(np.meshgrid(fine, fine), axis=-1) * pitch_m

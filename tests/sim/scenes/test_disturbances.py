@@ -107,21 +107,6 @@ def test_mass_of_the_object(mass_g: float) -> None:
     assert 2 * rows["truth/shear_force_n"][-1, 0] == pytest.approx(weight_n, rel=0.05)
 
 
-def test_one_gear_friction() -> None:
-    """Assert that one number stands for a range that is as wide as nothing, and shifts nothing else."""
-    samples = [
-        vars(sampling.sample_trial(plan.scene, plan.object, plan.sensor, np.random.default_rng(5)))
-        for plan in (
-            quiet_plan("slip", {"gripper": {"friction_factor": factor}}) for factor in (0.7, [0.7, 0.7], [0.5, 1.5])
-        )
-    ]
-    assert samples[0] == samples[1]
-    assert samples[0]["gear_friction_factor"] == 0.7
-    assert {**samples[0], "gear_friction_factor": 0} == {**samples[2], "gear_friction_factor": 0}
-    strong, weak = (held({"gripper": {"friction_factor": factor}}) for factor in (1.3, 0.65))
-    assert strong.finger.drive.friction_n == pytest.approx(2 * weak.finger.drive.friction_n, rel=1e-12)
-
-
 def test_commands_that_come_late() -> None:
     """Assert that a command given with a delay of 7 ms does what the same does that is given 7 ms later."""
     late, plain = held({"gripper": {"command_delay_ms": 7.0}}), held()

@@ -1,14 +1,11 @@
 """Scenes in which a face is driven over the gel: shear forces, strokes, and the noise of sensors."""
 
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from evetac_cli.events import concatenate
-from evetac_cli.formats.imports import read_events
 from evetac_cli.resources import SCENES
 from evetac_cli.sim.scenes.pressing import Pressing
 from evetac_cli.sim.setup.plan import first_plan, one_sensor
@@ -70,27 +67,3 @@ def test_sensor_is_the_same_in_every_trial(name: str) -> None:
     assert (one._camera.reference != other._camera.reference).any()
     assert one.grid_xy_px.shape == (7, 8, 2)
     assert gel_camera(sensor, cut=False, seed=1).grid_xy_px.shape == (7, 9, 2)
-
-
-def test_bare_camera_is_as_noisy_as_the_real_one(outside_file: Callable[[str], Path]) -> None:
-    """Assert that a static scene has the real recording's rate (5 %), share of hot pixels (4 %) and flat spectrum."""
-    real = outside_file("dvxplorer_static_noise.aedat4")
-    pytest.importorskip("dv_processing")
-    bare = gel_camera(one_sensor("bare-dvxplorer"), cut=True)
-    still = np.zeros_like(bare.rest_m)
-    made = concatenate([bare.render(still, np.zeros(2), 0.0, 1000 * ms) for ms in range(2700)])
-    measured = read_events(real).events
-    rate, share, peak = zip(*(figures(events.t, events.x, events.y) for events in (made, measured)), strict=True)
-    assert rate[0] == pytest.approx(rate[1], rel=0.05)
-    assert share[0] == pytest.approx(share[1], abs=0.04)
-    assert max(peak) < 4.5
-
-
-def figures(t: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
-    """Events a slice, share of pixels above 20 Hz, strongest spectral line above 25 Hz over the median line."""
-    seconds = 2.7
-    counts = np.bincount(y.astype(int) * 640 + x, minlength=480 * 640)
-    per_slice = np.bincount(t // 1000, minlength=2700)
-    spectrum = np.abs(np.fft.rfft(per_slice - per_slice.mean()))[round(25 * seconds) :]
-    hot = counts > 20 * seconds
-    return len(t) / 2700, float(counts[hot].sum() / counts.sum()), float(spectrum.max() / np.median(spectrum))

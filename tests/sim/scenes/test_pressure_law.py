@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.sim.parts import rows_of
 from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.setup.plan import Plan, first_plan
 from evetac_cli.sim.setup.scene import Randomised
@@ -107,17 +106,3 @@ def test_a_ball_that_slides_drags_with_mu_n(exponent: float, tmp_path: Path) -> 
         touch = sensor.step(0.01, place_m=(-1e-3 * (k + 1) * 0.25, 0.0))
     assert touch.slip
     assert np.hypot(*touch.shear_n) == pytest.approx(0.8 * 0.5 * 2.0, rel=0.01)
-
-
-def test_it_is_a_part_of_a_scene() -> None:
-    """Assert that the part is built where a scene or a sensor names it, and not under a face."""
-
-    def built(planned: Plan) -> str | None:
-        return {row["part"]: row["built"] for row in rows_of(planned)}[PART]
-
-    assert built(with_exponent(0.0)) is None
-    assert built(quiet_plan("slip", {"randomise": {"pressure_exponent": 0.0}})) is None
-    assert built(first_plan("slip")) == "pressure_exponent 0.67"
-    face = first_plan("shear")
-    face = replace(face, sensor=replace(face.sensor, friction=GelFriction(pressure_exponent=0.67)))
-    assert built(face) is None

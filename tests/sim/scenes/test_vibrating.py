@@ -53,14 +53,6 @@ def test_waves_are_the_modulated_tone(h2: float, m: float, phase: float, turn: f
     assert sum_of_waves == pytest.approx(tone * (1 + m * math.sin(turn / 2 + phase)), abs=1e-12)
 
 
-def test_resonance_without_losses() -> None:
-    """Assert that a gel without losses answers with 1 / (1 - (f / 753 Hz)^2): scenes.md section 7's figures."""
-    layer = GelMaterial(viscous_time_s=0.0, maxwell_share=0.0)
-    answer = resonance(np.array([100.0, 200.0, 300.0, 400.0, 498.0]), layer)
-    assert answer.real == pytest.approx([1.02, 1.08, 1.19, 1.39, 1.78], abs=0.005)
-    assert not answer.imag.any()
-
-
 @pytest.mark.parametrize("frequency_hz", [100.0, 498.0, 996.0])
 def test_resonance_is_that_of_the_layer(frequency_hz: float) -> None:
     """Assert that gain and phase are those of the layer's equation of motion, integrated until it is stationary."""

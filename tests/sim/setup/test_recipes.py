@@ -12,7 +12,7 @@ from evetac_cli.resources import table as packaged
 from evetac_cli.sim.setup import object_file, scene_file
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.sensor_file import of_row
-from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL, over, rows
+from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL, rows
 from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.store.layout.provenance import canonical
 
@@ -60,13 +60,6 @@ def test_recipes_are_held(kind: str, way: Any) -> None:
     """Assert that the recipes of all packaged tables are the held ones, whatever the order of keys and 341 or 341.0."""
     digest = hashlib.sha256("\n".join(recipes(kind, way)).encode()).hexdigest()
     assert digest[:32] == HELD[kind]
-
-
-def test_a_sensor_is_merged_key_by_key() -> None:
-    """Assert that a file that is like another sensor gives the row with its keys replaced one by one."""
-    base = as_table(one_sensor("randomized:7"))
-    merged = of_row(over(base, {"gripper": {"mass_kg": 3}, "summary": "mine"}), "here")
-    assert as_table(merged) == {**base, "summary": "mine", "gripper": {**base["gripper"], "mass_kg": 3.0}}
 
 
 def test_a_range_of_one_number_and_a_named_default_add_nothing() -> None:

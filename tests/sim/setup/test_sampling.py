@@ -1,6 +1,5 @@
 """What is sampled for a trial: values within their ranges, each from a random stream of its own."""
 
-import copy
 import math
 from dataclasses import replace
 from typing import Any
@@ -147,16 +146,3 @@ def test_a_range_more_leaves_the_others() -> None:
     more = sampling.sample_sensor(turned, random(3))
     assert 0.5 <= more.leak_hz <= 1
     assert replace(more, leak_hz=sensor.leak_hz) == sensor
-
-
-def test_a_range_of_another_name_has_the_same_values() -> None:
-    """Assert that neither the key nor the table of a range plays a part in what is sampled from it."""
-    ranges = copy.deepcopy(dict(rows()["randomized"]))
-    sensor = sampling.sample_sensor(ranges, random(3))
-    ranges["leak_hz"] = ranges.pop("mismatch")
-    ranges["mismatch"] = 0.05
-    ranges["friction"]["stribeck_mm_s"] = ranges["gripper"].pop("mass_kg")
-    renamed = sampling.sample_sensor(ranges, random(3))
-    moved = {"leak_hz": sensor.mismatch, "friction": replace(sensor.friction, stribeck_mm_s=sensor.gripper.mass_kg)}
-    without = {"mismatch": 0.05, "gripper": replace(sensor.gripper, mass_kg=None)}
-    assert renamed == replace(sensor, **moved, **without)

@@ -1,10 +1,7 @@
 """Settings of the simulation: what is refused, which takes the place of which, and what they come to."""
 
-from typing import Any
-
 import pytest
 
-from evetac_cli.sim.setup.plan import first_plan
 from evetac_cli.sim.setup.solver import Solver, with_given
 from evetac_cli.sim.setup.tables import as_table
 
@@ -17,24 +14,6 @@ def test_a_step_takes_the_place_of_a_tolerance_and_the_other_way() -> None:
     adaptive = with_given(Solver(step_ms=0.5, theta=0.6), {"tolerance_um": 0.05}, "here")
     assert (adaptive.tolerance_um, adaptive.theta) == (0.05, 0.6)
     assert "step_ms" not in as_table(adaptive)
-
-
-@pytest.mark.parametrize(
-    ("scene", "given", "solver"),
-    [("slip", {}, Solver()), ("lift", {"scans_per_ms": 10}, Solver(node_pitch_mm=1.45, scans_per_ms=10))],
-)
-def test_a_plan_says_all_settings(scene: str, given: dict[str, Any], solver: Solver) -> None:
-    """Assert that a plan, and so the recipe of a recording, names every setting, also those at their defaults."""
-    planned = first_plan(scene, solver=given)
-    assert set(planned.parameters()["scene"]["solver"]) == {
-        "tolerance_um",
-        "theta",
-        "node_pitch_mm",
-        "camera_substeps",
-        "scans_per_ms",
-        "residual",
-    }
-    assert planned.scene.solver == solver
 
 
 @pytest.mark.parametrize(("tolerance_um", "halvings"), [(0.2, 3), (0.1, 4), (0.05, 5), (1e-9, 7), (0.4, 2), (1e3, 0)])
