@@ -8,8 +8,8 @@ from evetac_cli.resources import SCENES, schemas
 from evetac_cli.resources import table as packaged
 from evetac_cli.sim.parts import PARTS, rows_of
 from evetac_cli.sim.setup.plan import Plan, first_plan
-from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL
-from evetac_cli.sim.setup.sensor_rows import rows as sensor_rows
+from evetac_cli.sim.setup.sensor_file import FOR_EACH_TRIAL
+from evetac_cli.sim.setup.sensor_file import rows as sensor_rows
 from evetac_cli.text_files import read_toml
 from scripts.docs.page_text import bounds, code, fenced, folded, prose, sentence, table, value
 

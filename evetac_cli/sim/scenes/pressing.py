@@ -3,6 +3,9 @@
 The scene names the face (a rectangle or a disc) and one of two motions. `waypoints` (shear): the face is pressed on
 once, then moved to random positions in a disc so small that nothing slips, with pauses. `strokes` (press): the face is
 drawn over the whole gel in lines and lifted off between them, so that every dot is moved.
+
+As in gel/cell_gaps.py, each cell of the gel is sampled at points. Here the face's edge is soft over the distance of two
+points, so that a moving face covers and uncovers each cell evenly.
 """
 
 import math
@@ -14,10 +17,11 @@ import numpy as np
 from evetac_cli.arrays import Floats
 from evetac_cli.errors import SceneError
 from evetac_cli.events import Events
+from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera.contact_edges import Outline
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import gel
-from evetac_cli.sim.scenes.covered import covered
+from evetac_cli.sim.gel.cell_gaps import SAMPLES
 from evetac_cli.sim.scenes.gel_view import GelView
 from evetac_cli.sim.scenes.shared import (
     STEP_S,
@@ -35,6 +39,7 @@ from evetac_cli.sim.setup.sampling import sample_trial, sensor_with_gel
 from evetac_cli.sim.timing import Timer, untimed
 
 LONGEST_S = 24 * 3600.0  # the limit of every recording
+NO_HOLE = np.zeros(0)
 
 
 class Timeline(NamedTuple):
@@ -224,3 +229,60 @@ def timeline(entries: list[tuple[float, Floats, float]]) -> Timeline:
         expected = f"at most {LONGEST_S:g} s"
         raise SceneError("the motion is too long", where="--scene", expected=expected, found=f"{time_s[-1]:.4g} s")
     return Timeline(np.array(time_s), np.array(xy_m), np.array(force_n))
+
+
+def covered(node_xy_m: Floats, centre_m: Floats, half_m: Floats, *, is_round: bool, hole_m: Floats = NO_HOLE) -> Floats:
+    """Return the share of each cell of a grid of nodes, (rows, columns), that a face about centre_m covers, 0 to 1.
+
+    half_m (2,): half sides of a rectangle, or half axes of an ellipse, along x and y; hole_m: half axes of its hole.
+    """
+    shares: Floats = _covered(node_xy_m, centre_m, half_m, hole_m, is_round)
+    return shares
+
+
+@njit(cache=True)
+def _covered(nodes: Floats, centre: Floats, half: Floats, hole: Floats, is_round: bool) -> Floats:
+    rows, columns, _ = nodes.shape
+    pitch_x = nodes[0, 1, 0] - nodes[0, 0, 0]
+    pitch_y = nodes[1, 0, 1] - nodes[0, 0, 1]
+    soft = math.sqrt(pitch_x * pitch_y) / SAMPLES
+    reach = 0.5 * math.hypot(pitch_x, pitch_y) + soft
+    shares = np.empty((rows, columns))
+    for row in range(rows):
+        for column in range(columns):
+            x = nodes[row, column, 0] - centre[0]
+            y = nodes[row, column, 1] - centre[1]
+            inside = _inside(x, y, half, hole, is_round)
+            if abs(inside) >= reach:
+                shares[row, column] = 1.0 if inside > 0.0 else 0.0
+                continue
+            total = 0.0
+            for i in range(SAMPLES):
+                for j in range(SAMPLES):
+                    at_x = x + ((i + 0.5) / SAMPLES - 0.5) * pitch_x
+                    at_y = y + ((j + 0.5) / SAMPLES - 0.5) * pitch_y
+                    total += min(max(_inside(at_x, at_y, half, hole, is_round) / soft + 0.5, 0.0), 1.0)
+            shares[row, column] = total / (SAMPLES * SAMPLES)
+    return shares
+
+
+@njit(cache=True, _nrt=False)
+def _inside(x: float, y: float, half: Floats, hole: Floats, is_round: bool) -> float:
+    """Return how far a point, relative to the face's centre, is inside the face and outside its hole; else negative."""
+    if not is_round:
+        return float(min(half[0] - abs(x), half[1] - abs(y)))
+    inside = _inside_ellipse(x, y, half)
+    return float(min(inside, -_inside_ellipse(x, y, hole))) if len(hole) else float(inside)
+
+
+@njit(cache=True, _nrt=False)
+def _inside_ellipse(x: float, y: float, half: Floats) -> float:
+    """Return how far a point is inside an ellipse of half axes (2,), to first order at its edge."""
+    if half[0] == half[1]:
+        return float(half[0] - math.hypot(x, y))
+    scaled = math.sqrt((x / half[0]) * (x / half[0]) + (y / half[1]) * (y / half[1]))
+    if scaled == 0.0:
+        return float(min(half[0], half[1]))
+    steep_x = x / (half[0] * half[0])
+    steep_y = y / (half[1] * half[1])
+    return scaled * (1.0 - scaled) / max(math.sqrt(steep_x * steep_x + steep_y * steep_y), 1e-9)

@@ -12,8 +12,7 @@ import numpy as np
 from evetac_cli.arrays import Floats
 from evetac_cli.events import FRAME_PX
 from evetac_cli.sim.camera import contact_edges
-from evetac_cli.sim.scenes.covered import NO_HOLE, covered
-from evetac_cli.sim.scenes.pressing import Pressing, Timeline, timeline
+from evetac_cli.sim.scenes.pressing import NO_HOLE, Pressing, Timeline, covered, timeline
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import SampledTrial
 from evetac_cli.sim.timing import Timer, untimed

@@ -20,7 +20,7 @@ from evetac_cli.sim.setup import object_file, sampling, scene_file, sensor_file
 from evetac_cli.sim.setup.object_file import TouchedObject
 from evetac_cli.sim.setup.scene import KINDS, Scene, Texture
 from evetac_cli.sim.setup.sensor import Sensor, SensorRanges
-from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL, rows
+from evetac_cli.sim.setup.sensor_file import FOR_EACH_TRIAL, rows
 from evetac_cli.sim.setup.solver import with_given
 from evetac_cli.sim.setup.tables import as_table, read_table
 

@@ -1,9 +1,13 @@
-"""Read your own sensor: a TOML file with the keys of a row of sensors.toml, for `--sensor mine.sensor.toml`.
+"""Sensors: the rows of sensors.toml, and your own TOML file with the same keys: `--sensor mine.sensor.toml`.
 
 `like = "evetac"` takes every key that the file leaves out from that named sensor. The result is a complete sensor. Two
 files with the same content give the same sensor: neither the file's name nor `like` enters a recipe.
+
+The rows of sensors.toml are written likewise: a row lists only its own values and takes all others from one other row,
+its `like`, which may do the same. A complete row names no other sensor, so a recipe contains all its values.
 """
 
+import functools
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -13,15 +17,46 @@ import numpy as np
 
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.calibration import grid
+from evetac_cli.resources import table as packaged
 from evetac_cli.sim.setup.sensor import SENSOR_NAME, HotPixelTable, Sensor
-from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL, GRID, over, rows
 from evetac_cli.sim.setup.tables import as_table, read_table
 from evetac_cli.text_files import read_toml
 
 SUFFIX = ".toml"
 UNNAMED = "own-sensor"  # name in recordings of a sensor whose file has no `name`
 OF_FILE = ("name", "like")
+GRID = ("dot_columns_px", "dot_rows_px", "dot_jitter_px", "turned_deg")  # keys that dot_xy_px replaces
+KEY_BY_KEY = ("gripper", "friction")  # tables that a row may give in part
+FOR_EACH_TRIAL = ("randomized", "randomized-narrow")  # rows of ranges, from which each trial's sensor is sampled
 LEAST_DOTS = 4  # fewer dots do not show how a gel rotates and stretches
+
+
+@functools.cache
+def rows() -> dict[str, dict[str, Any]]:
+    """Return the complete row of each named sensor, by name and without `like`; the file is read once."""
+    row_by_name = packaged("sensors")
+    return {name: whole(name, row_by_name) for name in row_by_name}
+
+
+def whole(name: str, row_by_name: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return a row of a table of sensors, completed from the rows that it is like."""
+    row = dict(row_by_name[name])
+    like = row.pop("like", None)
+    return row if like is None else over(whole(like, row_by_name), row)
+
+
+def over(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return another sensor's row, overridden by the named keys.
+
+    The tables KEY_BY_KEY are merged key by key; all others are replaced. Positions of dots replace a grid, and a grid
+    replaces positions.
+    """
+    replaced = GRID if "dot_xy_px" in changes else ("dot_xy_px",) if changes.keys() & set(GRID) else ()
+    row = {key: value for key, value in base.items() if key not in replaced} | dict(changes)
+    for group in KEY_BY_KEY:
+        if group in base and isinstance(changes.get(group), Mapping):
+            row[group] = {**base[group], **changes[group]}
+    return row
 
 
 def read(path: Path, named_sensor: Callable[[str], Sensor]) -> tuple[str, Sensor]:

@@ -20,7 +20,7 @@ from evetac_cli.events import FRAME_PX
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.sim.setup import plan, sensor_file
 from evetac_cli.sim.setup.sensor import Sensor
-from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL
+from evetac_cli.sim.setup.sensor_file import FOR_EACH_TRIAL
 from evetac_cli.stages.identify.sensor_text import NOT_ESTIMATED, Entry, EstimateRow, sensor_text
 from evetac_cli.store.files import stem
 from evetac_cli.store.hdf5.disk import Recheck, taking_the_place_of

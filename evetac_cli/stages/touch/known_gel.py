@@ -21,7 +21,7 @@ from evetac_cli.kernels.touch.dot_motion import ENDLESS_MM, GelLayer
 from evetac_cli.sim.setup import sensor_file
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.sensor import GelCreep, Sensor
-from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL
+from evetac_cli.sim.setup.sensor_file import FOR_EACH_TRIAL
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.text_files import read_toml

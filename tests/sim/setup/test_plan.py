@@ -7,7 +7,7 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.resources import SCENES
 from evetac_cli.sim.setup.plan import first_plan, numbers, one_sensor, plans, read_plan
-from evetac_cli.sim.setup.sensor_rows import rows
+from evetac_cli.sim.setup.sensor_file import rows
 
 
 @pytest.mark.parametrize(("text", "listed"), [("8", [8]), ("1-3,10", [1, 2, 3, 10]), ("3, 3,2", [3, 2])])

@@ -11,8 +11,7 @@ from evetac_cli.resources import SCENES
 from evetac_cli.resources import table as packaged
 from evetac_cli.sim.setup import object_file, scene_file
 from evetac_cli.sim.setup.plan import one_sensor
-from evetac_cli.sim.setup.sensor_file import of_row
-from evetac_cli.sim.setup.sensor_rows import FOR_EACH_TRIAL, rows
+from evetac_cli.sim.setup.sensor_file import FOR_EACH_TRIAL, of_row, rows
 from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.store.layout.provenance import canonical
 

@@ -11,7 +11,7 @@ from evetac_cli.sim.setup import object_file, sampling, scene_file
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.sim.setup.sensor import GelFriction, Sensor
-from evetac_cli.sim.setup.sensor_rows import rows
+from evetac_cli.sim.setup.sensor_file import rows
 
 SLIP = scene_file.load("slip")
 EVETAC = one_sensor("evetac")

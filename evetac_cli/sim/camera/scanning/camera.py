@@ -95,12 +95,6 @@ class CameraModel:
     events_per_s: float | None = None
     support_ms: float | None = None
 
-    @property
-    def has_hot_pixels(self) -> bool:
-        """Whether any pixel is hot, at a random or known position."""
-        table = self.hot_pixel_table
-        return self.hot_pixels > 0 or (table is not None and len(table.x_px) > 0)
-
 
 @dataclass
 class CameraState:
