@@ -73,16 +73,8 @@ def outcome(
 
     is_held = hangs(lifted_ms)
     balanced = is_held and hangs(last_ms) and len(gap_mm) >= planned_ms
-    slip = rows["control/slip"].astype(int)
-    began = np.flatnonzero(np.diff(slip, prepend=0)[contact + 1 :] > 0) + contact + 1
-    slips = rows["truth/visible_slip_share"] >= SLIPS_SHARE
-    if second_slip_share is not None:
-        both = min(len(slips), len(second_slip_share))
-        slips = np.append(slips[:both] | (second_slip_share[:both] >= SLIPS_SHARE), slips[both:])
-    reactions_ms = [int(each) for each in step_ms[began]]
-    false = [at for at in reactions_ms if not slips[max(at - BEFORE_MS, 0) : at + AFTER_MS + 1].any()]
-    closed = int(ticks[lifted] - ticks[contact])
-    closed_end = int(ticks[-1] - ticks[contact])
+    reactions, false = _reactions(rows, contact, second_slip_share)
+    closed, closed_end = (int(ticks[at] - ticks[contact]) for at in (lifted, -1))
     return {
         "lifted": is_held,
         "balanced": balanced,
@@ -99,9 +91,23 @@ def outcome(
         "force_end_n": float(force_n[last_ms]),
         **_over_holding(rows, balanced=balanced),
         "motor_work_j": _motor_work_j(rows, newton_per_ma),
-        "slip_events": len(began),
-        "false_slip_events": len(false),
+        "slip_events": reactions,
+        "false_slip_events": false,
     }
+
+
+def _reactions(
+    rows: Mapping[str, NDArray[Any]], contact: int, second_slip_share: NDArray[Any] | None
+) -> tuple[int, int]:
+    """Return how often the controller reacted after a step, and how often without slip around it."""
+    began = np.diff(rows["control/slip"].astype(int), prepend=0)[contact + 1 :] > 0
+    reactions_ms = (rows["control/t_us"] // SLICE_US)[contact + 1 :][began].astype(int).tolist()
+    slips = rows["truth/visible_slip_share"] >= SLIPS_SHARE
+    if second_slip_share is not None:
+        both = min(len(slips), len(second_slip_share))
+        slips = np.append(slips[:both] | (second_slip_share[:both] >= SLIPS_SHARE), slips[both:])
+    false = [at for at in reactions_ms if not slips[max(at - BEFORE_MS, 0) : at + AFTER_MS + 1].any()]
+    return len(reactions_ms), len(false)
 
 
 def _lost(gap_mm: NDArray[Any], force_n: NDArray[Any], lifted_ms: int, moved_lift_mm: float, *, is_held: bool) -> str:

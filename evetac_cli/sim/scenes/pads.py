@@ -38,7 +38,7 @@ from evetac_cli.sim.scenes.shared import (
 from evetac_cli.sim.setup.held import SecondFingerSettings
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import SampledTrial, sensor_with_gel
-from evetac_cli.sim.setup.scene_part import OfGripper
+from evetac_cli.sim.setup.scene_part import ScenePart
 from evetac_cli.sim.timing import Timer
 
 FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, from fingers, links and mounts; fitted to the paper's two bottles
@@ -47,12 +47,11 @@ CLOSING_S, CLOSING_STEPS = 0.5, 10  # time and steps in which a finger closes on
 Three = tuple[float, float, float]
 
 
-class SecondFinger(OfGripper):
+class SecondFinger(ScenePart):
     """A second pad: its friction and stiffness relative to the first, its pressure, and its gel."""
 
     NAME = "second finger of its own"
     KEYS = ("scene.gripper.second_finger",)
-    MEASURED = True
 
     state: gel.GelState
     shares: Floats
@@ -70,7 +69,7 @@ class SecondFinger(OfGripper):
     @classmethod
     def is_in(cls, plan: Plan) -> bool:
         """Return whether a plan's second finger differs, or has a camera."""
-        return plan.second is not None or super().is_in(plan)
+        return plan.second is not None or plan.scene.gripper.second_finger is not None
 
     @classmethod
     def without(cls, plan: Plan) -> Plan:
