@@ -101,33 +101,6 @@ def test_the_report_is_valid_and_says_simulated(name, stage, cls):
         assert json.loads(file.read("summary")).items() <= plain(outcome.summary).items()
 
 
-@each
-def test_a_report_is_kept(name, stage, cls):
-    """Assert that the same recipe measures nothing again, and another one is refused until forced."""
-    output, first = run_stage(stage, [], cls())
-    before = output.read_bytes()
-    _, again = run_stage(stage, [], cls(), progress=lambda *_: pytest.fail("measured again"))
-    assert not again.made
-    assert again.simulated
-    assert again.rows == plain(first.rows)
-    with pytest.raises(InputError, match="another recipe"):
-        run_stage(stage, [], cls(seed=1))
-    assert output.read_bytes() == before
-    assert run_stage(stage, [], cls(seed=1), force=True)[1].made
-
-
-@each
-def test_interruption_leaves_nothing(name, stage, cls, tmp_path):
-    """Assert that Ctrl-C while measuring leaves no file."""
-
-    def interrupt(done, total):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_stage(stage, [], cls(), progress=interrupt)
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.slow
 def test_cost_of_the_simulator():
     """Assert real rows of mechanics and camera, in this order, with errors that fall the finer a setting is."""

@@ -12,7 +12,6 @@ from evetac_cli.evaluate.common.report import own_report, report
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.store.layout.provenance import Header
 
-OUTPUT = "report"
 METHOD = 2
 OF_OWN = ("model", "threshold", "tracker", "shear_force", "force_model", "controller")
 

@@ -43,7 +43,6 @@ from evetac_cli.store.recordings.onset import LabelledOnset, in_short, labelled_
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
 from evetac_cli.store.recordings.slip_covariates import gel_counts
 
-OUTPUT = "report"
 METHOD = 4
 INTERVALS = ("whole", "contact", "slip")
 ALL = "all"  # in the column `object` of a row over all recordings

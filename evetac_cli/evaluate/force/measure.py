@@ -43,7 +43,6 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.ancestry import trajectories
 from evetac_cli.store.layout.provenance import Header
 
-OUTPUT = "report"
 METHOD = 4
 SENSORS = ("events", "frames")  # in which dots are tracked; both are in the paper's table
 STYLES = {"regression": (picture.COLOURS[0], "linear regression"), "network": (picture.COLOURS[3], "network")}

@@ -37,7 +37,6 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings import slip_grid
 
-OUTPUT = "report"
 METHOD = 5
 ALIKE = ("scene", "sensor", "gel", "slip_detector", "tracker", "slip_threshold")  # of all trials of a setting
 MEANS = (

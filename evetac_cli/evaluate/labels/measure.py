@@ -27,7 +27,6 @@ from evetac_cli.store.recordings import slip_grid
 from evetac_cli.store.recordings.onset import LabelledOnset, in_short, labelled_onset
 from evetac_cli.store.recordings.read import Recording, first_slice, ramp_start, true_onset
 
-OUTPUT = "report"
 METHOD = 6
 EARLIEST_MS = -4  # labels look 4 ms ahead
 LATEST_MS = 3

@@ -44,7 +44,6 @@ from evetac_cli.store.recordings.read import open_recording
 if TYPE_CHECKING:
     from evetac_cli.evaluate.likeness.counts import Slip
 
-OUTPUT = "report"
 METHOD = 2
 SLIPS = ("slip", "slip-varied")  # scenes whose slips are used to evaluate the single threshold
 HERE = "these recordings"  # origin of a figure

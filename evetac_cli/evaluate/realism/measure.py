@@ -41,7 +41,6 @@ SHORTEST_MOTION = 300  # slices
 MOST_EVENTS = 5_000_000  # limit per phase
 
 Counts = NDArray[np.int64]
-OUTPUT = "report"
 METHOD = 4
 MOST_WINDOWS = 240  # per recording, for the classifier: two minutes
 NEAR = 0.10  # distances up to this count as near in the summary

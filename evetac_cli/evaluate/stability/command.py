@@ -16,7 +16,6 @@ from evetac_cli.evaluate.stability import EvaluateStability, grasp, tracker
 from evetac_cli.evaluate.stability import simulator as simulator_stability
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 
-OUTPUT = "report"
 METHOD = 4
 
 

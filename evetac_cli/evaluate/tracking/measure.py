@@ -35,7 +35,6 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings import slip_grid
 from evetac_cli.store.recordings.read import Recording, open_recording
 
-OUTPUT = "report"
 METHOD = 8
 DOTS, TRUE_DOTS = "dot_xy_px", "truth/dot_xy_px"
 CONSISTENT_PX = 20.0  # as in the paper

@@ -26,7 +26,6 @@ from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels import vibration
 from evetac_cli.store.recordings.read import Recording, open_recording
 
-OUTPUT = "report"
 METHOD = 4
 SHORTEST_MS, LONGEST_MS = 100, 10_000  # of a window: shorter ones have no spectrum, longer ones need too much memory
 READ_MS = 250  # events read at once

@@ -1,12 +1,10 @@
 """Error against run time where friction falls with speed: onset by hand, rows of one shape, errors that fall."""
 
-import json
 import math
 
 import numpy as np
 import pytest
 
-from evetac_cli.evaluate.common.rows import Extent
 from evetac_cli.evaluate.cost import simulator as cost
 from evetac_cli.evaluate.cost.simulator import draw_trial, onset_ms, solve
 from evetac_cli.sim.setup.solver import Solver
@@ -39,22 +37,3 @@ def test_errors_fall_with_the_step() -> None:
     assert abs(fine[0]) < abs(coarse[0]) / 3
     assert fine[1] < coarse[1] / 3
     assert fine[2] < coarse[2] / 3
-
-
-@pytest.mark.slow
-def test_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert as many rows as announced, of one shape, each with its flags, which JSON can hold."""
-    for name, amount in {
-        "STEPS_MS": (1.0, 0.5), "REFERENCE_STEP_MS": 0.25, "REFERENCE_PITCH_MM": 1.67, "PITCHES_MM": (2.5,),
-        "TRIALS": 2, "TOLERANCES_UM": (5.0,),
-    }.items():  # fmt: skip
-        monkeypatch.setattr(cost, name, Extent(amount, amount))
-    rows = list(cost.mechanics_rows(5, False))
-    assert len(rows) == 2 * 3 * len(cost.choices(False))
-    assert len({row["part"] for row in rows}) == 6
-    assert len({tuple(row) for row in rows}) == 1
-    json.dumps(rows, allow_nan=False)
-    assert {"--step-ms 0.5", "--tolerance 5", "--node-pitch-mm 2.5 --step-ms 0.25"} <= {row["flags"] for row in rows}
-    assert all(0 < row["time_us_median"] <= row["time_us_p99"] for row in rows)
-    assert all(row["error_px_before"] == pytest.approx(row["error_um_before"] / 32.9) for row in rows)
-    assert list(cost.mechanics_rows(5, False, trials=1))[0]["trials"] == 1

@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from evetac_cli.cli import main
 from evetac_cli.evaluate.cost import EvaluateCost, models
 from evetac_cli.evaluate.cost import command as cost
 from evetac_cli.evaluate.slip import EvaluateSlip
@@ -141,16 +139,3 @@ def test_figures_are_those_of_evaluate_slip(files: dict[str, list[Path]], quick:
         weights = {name: shape for name, (_, shape) in model.contents().items() if name.startswith("weights/")}
     trained_numbers = sum(int(np.prod(shape)) for name, shape in weights.items() if "input_" not in name)
     assert outcome.rows[0]["parameters"] == trained_numbers == 14_895
-
-
-def test_the_command(files: dict[str, list[Path]], quick: None, tmp_path: Path) -> None:
-    """Assert that `evaluate cost model REPORT --model MODELS` takes the part first, and leaves report and picture."""
-    report = evaluated(files, files["seeds"], tmp_path / "b.report.h5")
-    arguments = [str(report), "--model", *map(str, files["seeds"])]
-    out = tmp_path / "c.report.h5"
-    shown = CliRunner().invoke(main.app, ["evaluate", "cost", "model", *arguments, "-o", str(out), "--json", "--quiet"])
-    answer = json.loads(shown.stdout)
-    assert answer["simulated"]
-    assert [row["seeds"] for row in answer["rows"]] == [2]
-    pytest.importorskip("matplotlib")
-    assert out.with_suffix(".png").read_bytes().startswith(b"\x89PNG")

@@ -1,20 +1,16 @@
 """evaluate data-rate: shares of an RGB sensor's rate, where contact and slip are known from, what is refused."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from typer.testing import CliRunner
 
-from evetac_cli.cli import main
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate.data_rate import EvaluateDataRate
 from evetac_cli.evaluate.data_rate import measure as data_rate
 from evetac_cli.events import Events
-from evetac_cli.inspect import validate
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.read import open_recording
@@ -58,10 +54,9 @@ def labels_file(recording: Path, onset: int, *, of: Path | None = None, doubt: s
 
 
 @pytest.fixture(autouse=True)
-def no_picture(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No pictures but in the test of the command: they take longest."""
-    if request.node.name != "test_the_command":
-        monkeypatch.setattr(data_rate.picture, "beside", lambda outcome, *_: outcome)
+def no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No pictures: they take longest."""
+    monkeypatch.setattr(data_rate.picture, "beside", lambda outcome, *_: outcome)
 
 
 def evaluated(*files: Path, **values: Any) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
@@ -185,19 +180,6 @@ def test_what_cannot_be_answered_is_said(tmp_path: Path, how: dict[str, Any], re
     said = f"{without['interval']}: unknown; n = 0 of 1 recordings, left out: {without['left_out_because']}."
     assert said in data_rate.for_people([row, *intervals], EvaluateDataRate())[1]
     assert without["left_out_because"].endswith(" (1)") and "350" not in without["left_out_because"]
-
-
-def test_the_command(tmp_path: Path) -> None:
-    """Assert that the command prints one JSON object, leaves report and picture, and says simulated."""
-    path = recording_file(tmp_path / "a.recording.h5", steps(), truth=True)
-    shown = CliRunner().invoke(main.app, ["evaluate", "data-rate", str(path), "--json", "--quiet"])
-    answer = json.loads(shown.stdout)
-    assert (answer["command"], answer["simulated"]) == ("evaluate data-rate", True)
-    assert answer["summary"]["share_slip"] == pytest.approx(100 * 5 * 1000 / RGB_BYTES_S)
-    report = tmp_path / "a.data-rate.report.h5"
-    assert [row["faults"] for row in validate.run([report]).rows] == [None]
-    pytest.importorskip("matplotlib")
-    assert report.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_window_stands_beside(tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """evaluate slip: several models at once, means over objects and seeds, the paper's figures, what is refused."""
 
-import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,7 +19,6 @@ from evetac_cli.evaluate.slip import measure as slip
 from evetac_cli.evaluate.slip import models as slip_models
 from evetac_cli.evaluate.slip import tables as slip_tables
 from evetac_cli.evaluate.slip.models import Model, check
-from evetac_cli.inspect import validate
 from evetac_cli.jobs import silent
 from evetac_cli.kernels.slip.covariates import WORDS
 from evetac_cli.kernels.slip.detector import Detector
@@ -85,10 +83,9 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 @pytest.fixture(autouse=True)
-def no_picture(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No pictures but in the test of the report: they take longest."""
-    if request.node.name != "test_the_report":
-        monkeypatch.setattr(slip.picture, "beside", lambda outcome, *_: outcome)
+def no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No pictures: they take longest."""
+    monkeypatch.setattr(slip.picture, "beside", lambda outcome, *_: outcome)
 
 
 def evaluated(files: Sequence[Path], out: Path, **values: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
@@ -244,23 +241,6 @@ def test_a_shared_recording_is_named(world: dict[str, Any], tmp_path: Path) -> N
     assert str(world["learn"][2]) in str(refused.value)
     assert str(world["seeds"][0]) in str(refused.value)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_report(world: dict[str, Any], tmp_path: Path) -> None:
-    """Assert that the report holds all rows, is valid, has a picture beside it, and is kept."""
-    files, out = [*world["known"], *world["seeds"]], tmp_path / "a.report.h5"
-    rows, summary = evaluated(files, out)
-    assert [row["faults"] for row in validate.run([out]).rows] == [None]
-    with StageFile(out, "report") as file:
-        assert json.loads(file.read("rows")) == rows
-        assert file.header["simulated"]
-    pytest.importorskip("matplotlib")
-    assert summary["plot"] == str(tmp_path / "a.report.png")
-    picture = tmp_path / "a.report.png"
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    picture.unlink()
-    evaluated(files, out)
-    assert picture.exists()
 
 
 def test_a_terminal_gets_one_table_and_a_verdict(world: dict[str, Any], tmp_path: Path) -> None:
