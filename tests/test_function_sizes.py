@@ -12,42 +12,40 @@ from evetac_cli.resources import PACKAGE
 ROOT = PACKAGE.parent
 MOST_LINES, MOST_ARGUMENTS = 60, 8
 
+# By the name of their file, as folders move.
 LONG = {
-    "trials/grasp/controller_process.py _command": "a step is safe by the order of its parts, from top to bottom",
-    "trials/grasp/real_time.py run": "what is opened is closed in the reverse order, also by Ctrl-C between two lines",
-    "sim/camera/gel_camera.py __init__": "",
-    "sim/camera/scanning/camera.py start": "",
-    "sim/scenes/gripped.py __init__": "",
-    "sim/scenes/gripped.py _build_mechanics": "",
-    "sim/gel/gel.py start": "",
-    "sim/grasp_outcome.py outcome": "",
-    "sim/setup/sampling.py sample_trial": "",
-    "kernels/slip/training.py train": "",
-    "kernels/force/gel_forces.py adapt": "",
-    "kernels/identify/thresholds.py of_either_polarity": "",
-    "attack/kill_grasps.py one": "",
+    "controller_process.py _command": "a step is safe by the order of its parts, from top to bottom",
+    "real_time.py run": "what is opened is closed in the reverse order, also by Ctrl-C between two lines",
+    "camera.py start": "the fields of one record, each with its reason",
+    "gel.py start": "the fields of one record, each with its reason",
+    "gel_camera.py __init__": "the settings of one record, each with its reason",
+    "training.py train": "one run of the optimiser: what it saves is what it resumes from",
+    "gel_forces.py adapt": "one run of the optimiser",
+    "grasp_outcome.py outcome": "a figure per column of the row, in its order",
+    "thresholds.py of_either_polarity": "one fit: what it excludes, fits and bounds",
+    "sampling.py sample_trial": "the order of drawing is that of the lines: a part must not shift another's numbers",
+    "kill_grasps.py one": "one trial, from the start of the command to its judgement",
 }
 MANY = {
     "api.py __init__": "public, by keyword only",
     "gym.py __init__": "public, by keyword only",
-    "commands/parameter.py parameter": "what a flag may state, by keyword only",
-    "kernels/slip/training.py train": "",
-    "sim/setup/plan.py plans": "",
-    "sim/gel/gel.py step": "",
-    "sim/gel/contact.py force_curve": "",
-    "studies/tables.py table_of": "",
-    "reproduce/run.py perform": "",
+    "parameter.py parameter": "what a flag may state, by keyword only",
+    "training.py train": "what a run is given, by keyword but for its data",
+    "gel.py step": "",
+    "contact.py force_curve": "",
+    "perform.py perform": "by keyword but for what is made and where; tests replace how a command is run",
+    "made_tables.py table_of": "what a table states, by keyword but for its content",
 }
 
 
 def functions(folder: Path) -> Iterator[tuple[str, ast.FunctionDef]]:
-    """Every function that is no kernel, by file and name."""
+    """Every function that is no kernel, by the names of its file and itself."""
     for path in sorted(folder.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.FunctionDef) and not any(
                 "jit" in ast.unparse(each) for each in node.decorator_list
             ):
-                yield f"{path.relative_to(folder)} {node.name}", node
+                yield f"{path.name} {node.name}", node
 
 
 def arguments(node: ast.FunctionDef) -> int:

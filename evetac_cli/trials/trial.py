@@ -19,7 +19,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Rows
 from evetac_cli.names import Capability
 from evetac_cli.sim.setup.object_file import seed_of
-from evetac_cli.sim.setup.plan import Plan, plans
+from evetac_cli.sim.setup.plan import Plan, plans, with_second
 from evetac_cli.sim.setup.solver import Solver
 from evetac_cli.stages import one_file
 from evetac_cli.store.recordings import slip_grid
@@ -143,7 +143,8 @@ def simulated_trials(
     view = view_of(params)
     sensor, second = _sensors(params.sensor, fingers)
     plan_options = (params.scene, params.objects, sensor, kinds, params.gel, tones)
-    for each in plans(*plan_options, solver=params.solver(), texture=params.texture, second=second):
+    for one in plans(*plan_options, solver=params.solver(), texture=params.texture):
+        each = one if second is None else with_second(one, second)
         name = each.object_name
         what = "" if name is None else f"-{name}" if isinstance(name, str) else f"-obj{name:02d}"
         what += "" if each.tone_hz is None else f"-{each.tone_hz:g}hz"

@@ -173,13 +173,11 @@ def plans(
     solver: Mapping[str, Any] = MappingProxyType({}),
     *,
     texture: str | None = None,
-    second: str | None = None,
 ) -> list[PlanTemplate]:
     """Return the plans of trials, one per object or tone (a single one if the scene has neither).
 
-    `second` names the sensor of a second finger that also has a camera. `gel` (cut or closed), `texture` (on or off)
-    and settings of the `solver` override the scene's. `tones` replaces the scene's tones, for example 200,300.
-    InputError if they contradict the scene, or the scene is not of one of `kinds`.
+    `gel` (cut or closed), `texture` (on or off) and settings of the `solver` override the scene's. `tones` replaces the
+    scene's tones, for example 200,300. InputError if they contradict the scene, or the scene is not of one of `kinds`.
     """
     scene = scene_file.load_of_kind(scene_name, kinds)
     scene = replace(scene, solver=with_given(scene.solver, solver, scene_name))
@@ -196,17 +194,21 @@ def plans(
         # A recording depends only on its own tone, not on the scene's other tones.
         alone = [replace(scene, tone=replace(scene.tone, frequency_hz=(tone,))) for tone in picked]
         return [PlanTemplate(one, *seen_by, tone_hz=tone) for one, tone in zip(alone, picked, strict=True)]
-    if second is not None and not scene.is_gripped:
-        raise InputError("this scene has no second finger", where="--camera", expected="one camera", found=scene_name)
     if tones is not None:
         raise InputError("this scene has no tones", where="--tone", expected="--scene vibration", found=scene_name)
     driven = scene.face or scene.rub
     if driven is not None:
         surface = TouchedObject(shape="flat", static_friction=driven.static_friction)
         return [PlanTemplate(scene, *seen_by, object=surface)]
-    seen = None if second is None else named_sensor(second)
-    named = named_objects(objects).items()
-    return [PlanTemplate(scene, *seen_by, name, object, second=seen) for name, object in named]
+    return [PlanTemplate(scene, *seen_by, name, object) for name, object in named_objects(objects).items()]
+
+
+def with_second(plan: PlanTemplate, sensor: str) -> PlanTemplate:
+    """Return the plan with a camera of this sensor at the second finger; InputError if the scene has none."""
+    if not plan.scene.is_gripped:
+        found = plan.scene.name
+        raise InputError("this scene has no second finger", where="--camera", expected="one camera", found=found)
+    return replace(plan, second=named_sensor(sensor))
 
 
 def first_plan(scene_name: str, objects: str = "8", sensor: str = "evetac", **more: Any) -> Plan:
