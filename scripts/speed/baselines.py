@@ -1,7 +1,7 @@
 """Compare evetac's kernels with the straightforward method for the same task, in plain numpy or with a library.
 
 All methods take turns on the same simulated input, each on one core, and the fastest run of each counts. Results are
-compared only where both methods compute the same by definition: tests/scripts/speed/test_bench.py.
+compared only where both methods compute the same by definition: tests/scripts/speed/test_baselines.py.
 """
 
 import math

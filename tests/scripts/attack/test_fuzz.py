@@ -8,19 +8,14 @@ import h5py
 import numpy as np
 import pytest
 
+from scripts.attack.fuzz import mutations
+
 ROOT = Path(__file__).resolve().parents[3]
 FUZZ = ROOT / "scripts" / "attack" / "fuzz"
 
 
-@pytest.fixture(autouse=True)
-def _path(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(FUZZ))
-
-
 @pytest.mark.parametrize("family", ["bytes", "text", "hdf5"])
 def test_the_same_seed_does_the_same_damage(family: str, tmp_path: Path) -> None:
-    from scripts.attack.fuzz import mutations
-
     made = []
     for name in ("a", "b"):
         path = tmp_path / name
@@ -35,8 +30,6 @@ def test_the_same_seed_does_the_same_damage(family: str, tmp_path: Path) -> None
 
 
 def test_most_damage_changes_the_file(tmp_path: Path) -> None:
-    from scripts.attack.fuzz import mutations
-
     path = tmp_path / "a"
     whole = b"key = 12.5\n[table]\nother = 7\n" * 5
     changed = 0

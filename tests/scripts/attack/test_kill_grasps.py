@@ -1,27 +1,8 @@
-"""The plan and the sums of scripts/attack/kill_grasps.py; the kills themselves need a quiet machine."""
+"""The sums of scripts/attack/kill_grasps.py; the kills themselves need a quiet machine."""
 
-from argparse import Namespace
-from collections import Counter
 from typing import Any
 
-from scripts.attack.kill_grasps import planned, summary
-
-
-def chosen(**more: Any) -> Namespace:
-    given = {"kills": 40, "stops": 20, "commands": ["grasp"], "watchdog_ms": 60, "busy": 0, "seed": 0}
-    return Namespace(**{**given, **more})
-
-
-def test_the_plan_has_as_many_kills_and_stops_as_asked_for() -> None:
-    """Assert their numbers, half of each timed from the motor's first current, and that no two trials are the same."""
-    trials = planned(chosen())
-    counts = Counter((plan["how"], plan["since"]) for plan in trials)
-    expected = {("kill", "start"): 20, ("kill", "current"): 20, ("stop", "start"): 10, ("stop", "current"): 10}
-    assert counts == expected
-    assert {plan["command"] for plan in trials} == {"grasp"}
-    assert len({tuple(plan.items()) for plan in trials}) == 60
-    both = Counter((plan["command"], plan["since"]) for plan in planned(chosen(stops=0, commands=["grasp", "record"])))
-    assert set(both.values()) == {10}
+from scripts.attack.kill_grasps import summary
 
 
 def row(ms: float, *, had_current: bool = True, again: bool = False) -> dict[str, Any]:

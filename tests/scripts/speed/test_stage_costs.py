@@ -27,14 +27,6 @@ def test_start_up_is_told_from_work() -> None:
     assert both["start_share_of_one_trial"] == pytest.approx(2.0 / 3.0)
 
 
-def test_steps_come_after_what_they_read() -> None:
-    """Assert that all that a stage needs is made before it, and nothing else."""
-    known = stage_costs.steps("slip", 3.0)
-    assert stage_costs.needed(["featurize"], known) == ["record", "track", "label", "featurize"]
-    assert stage_costs.needed(["grasp"], known) == ["grasp"]
-    assert stage_costs.needed(list(known), known) == list(known)
-
-
 def run(monkeypatch: pytest.MonkeyPatch, *flags: str) -> None:
     monkeypatch.setattr("sys.argv", ["speed/stage_costs.py", *flags])
     stage_costs.main()
@@ -57,16 +49,3 @@ def test_stages_are_measured_on_the_smallest_scene(
     assert sum(row["share"] or 0.0 for row in rows.values()) in (0.0, pytest.approx(1.0))
     shown = capsys.readouterr().out
     assert "stage costs (simulated)" in shown and all(stage in shown for stage in chosen)
-
-
-@pytest.mark.slow
-def test_the_functions_of_a_stage_are_shown(
-    short_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Assert that a stage is looked into: functions by their own time, the longest first."""
-    flags = ("--scene", str(short_scene), "--trials", "3", "--inside", "track")
-    run(monkeypatch, *flags, "-o", str(tmp_path / "inside.json"))
-    rows = json.loads((tmp_path / "inside.json").read_text())["rows"]
-    own = [row["own_s"] for row in rows]
-    assert len(rows) == stage_costs.MOST_FUNCTIONS and own == sorted(own, reverse=True)
-    assert "inside track (simulated)" in capsys.readouterr().out

@@ -57,14 +57,6 @@ def test_differences_and_ratios(tmp_path: Path) -> None:
     assert told(tmp_path, "official-2024", tracking_distance=still).values == (1.5, 1.5)
 
 
-def test_what_is_not_there(tmp_path: Path) -> None:
-    """Assert that a missing table, row or tracker is said."""
-    assert "no table grasps" in told(tmp_path, "grasps-kept").not_measured
-    assert "has no row" in told(tmp_path, "grasps-kept", grasps=[{"setting": "none"}]).not_measured
-    stable = {"sensor_name": "evetac", "sensor": "events", "model": "regression", "mae_n_x": 0.1, "mae_n_y": 0.1}
-    assert "does not have it" in told(tmp_path, "force-by-papers-tracker", force=[stable]).not_measured
-
-
 def test_every_table_that_a_fact_names_is_there() -> None:
     """Assert that docs/results has the tables, and that most facts find their figures in them."""
     named = [fact for fact in facts() if fact.table]

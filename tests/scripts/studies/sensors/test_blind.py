@@ -1,13 +1,10 @@
 """scripts/studies/sensors/blind.py: truths lie in their prior ranges, and the table counts as it says."""
 
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.plan import one_sensor
-from evetac_cli.sim.setup.tables import as_table
 from scripts.studies.sensors import blind
 
 NAMES = [parameter.name for parameter in blind.PARAMETERS]
@@ -21,15 +18,6 @@ def test_truths_lie_in_their_prior_ranges() -> None:
         for parameter in blind.PARAMETERS:
             low, high = parameter.prior
             assert low <= parameter.truth(sensor) <= high, (number, parameter.name)
-
-
-@pytest.mark.parametrize("name", blind.SCENES)
-def test_scenes_are_as_packaged_but_for_what_is_changed(name: str, tmp_path: Path) -> None:
-    """Assert that the scenes are read, with what is changed and nothing else."""
-    (tmp_path / "changed.toml").write_text(blind.changed(name, blind.SCENES[name]))
-    packaged, made = (as_table(scene_file.load(file)) for file in (name, str(tmp_path / "changed.toml")))
-    assert made != packaged
-    assert made == scene_file.merged(packaged, blind.SCENES[name])
 
 
 def result(low: float, high: float, *, truth: float = 0.05, name: str = "noise_hz") -> dict[str, Any]:

@@ -1,8 +1,5 @@
 """Trials for the sticking share, its training and its judge: what is simulated, counted and kept apart."""
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -85,21 +82,3 @@ def test_a_training_learns_and_is_the_same_again(monkeypatch: pytest.MonkeyPatch
     assert all(map(np.array_equal, weights, training.trained(learnt, 3)))
     network = StickingNetwork(*weights, np.ones(11, np.float32))
     assert slip_estimate(network, inputs[0]) == pytest.approx(estimated[0], abs=1e-4)
-
-
-def test_rows_are_kept_and_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that rows are read back, that more minutes make only the missing ones, and too few seeds are refused."""
-    made: list[tuple[int, int]] = []
-
-    def row_of(_: str, number: int, seed: int) -> dict[str, float]:
-        made.append((number, seed))
-        return {"minutes": 0.5}
-
-    monkeypatch.setattr(judge, "row_of", row_of)
-    assert len(judge.rows_of("fast jerks", range(9000, 9003), 2.0, tmp_path)) == 4
-    assert len(judge.rows_of("fast jerks", range(9000, 9003), 3.0, tmp_path)) == 6 == len(made)
-    assert len(made) == len(set(made))
-    lines = (tmp_path / "fast-jerks.jsonl").read_text().splitlines()
-    assert [json.loads(line)["object"] for line in lines] == list(motions.JUDGED)
-    with pytest.raises(SystemExit, match="seeds are too few"):
-        judge.rows_of("fast jerks", range(9000, 9003), 20.0, tmp_path)

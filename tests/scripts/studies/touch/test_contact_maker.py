@@ -7,7 +7,6 @@ import pytest
 
 from evetac_cli.kernels.gel_layer import compliance
 from scripts.studies.touch import contact_maker
-from scripts.studies.touch import layer as touch_layer
 from scripts.studies.touch.contact_maker import (
     CELL_MM2,
     N_PER_PA,
@@ -41,18 +40,6 @@ def test_two_implementations_of_the_layer_agree(poisson: float) -> None:
         size = np.abs(exact.across) * 1e3
         for name in found._fields:
             assert (np.abs(getattr(found, name) - getattr(exact, name) * 1e3) < 2e-3 * size).all(), name
-
-
-def test_finer_elements_converge(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that the error falls with the fourth power of the elements' size, nearly."""
-    waves = np.array([1.5])
-    exact = compliance(waves * 1e3, 4e-3, 145e3, 0.49).along[0] * 1e3
-    monkeypatch.setattr(touch_layer, "GROWTH", 1.0)
-    errors = []
-    for elements in (6, 12, 24):
-        monkeypatch.setattr(touch_layer, "ELEMENTS", elements)
-        errors.append(abs(depth_answer(ElasticLayer(), waves).along[0] / exact - 1))
-    assert errors[0] > 8 * errors[1] > 64 * errors[2]
 
 
 def test_a_square_under_even_pressure_sinks_in_as_loves_does(thick: ContactMaker) -> None:

@@ -1,7 +1,5 @@
 """scripts/studies/touch/contacts.py: errors over deviations become coverage and factors; contacts are judged."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -19,13 +17,6 @@ Z = (0.1, 0.4, 0.8, 1.5)
 def rows_of(z: tuple[float, ...]) -> list[Row]:
     """A row per contact in which everything is off by so many deviations."""
     return [{"z": {what: [one] for what in study.ERRORS}} for one in z]
-
-
-def test_coverage_counts_each_contact_alike() -> None:
-    """Assert the shares within 1 and 1.96 deviations, and that a contact of many cells counts as one of few."""
-    assert study.coverage(rows_of((*Z, 3.0)), "force") == {"68": 0.6, "95": 0.8}
-    unequal = [{"z": {"shear": [0.5] * 99}}, {"z": {"shear": [5.0]}}]
-    assert study.coverage(unequal, "shear") == {"68": 0.5, "95": 0.5}
 
 
 def test_factors_make_normal_errors_covered() -> None:
@@ -53,9 +44,3 @@ def test_a_contact_is_read_and_judged() -> None:
     assert shown["iou_wide"] == shown["iou"] == row["iou"] and shown["n"] == 1
     for columns in (study.ERROR_COLUMNS, study.COVERAGE_COLUMNS):
         assert all(fill(cell, shown) for cell in columns.values())
-
-
-def test_seeds_of_the_table_are_not_those_that_chose() -> None:
-    """Assert that factors and the table are of other seeds, by what the modules say."""
-    said = Path(study.__file__).read_text()
-    assert "--seeds 60000-60024" in said and "--calibrate --seeds 6000-6049" in said
