@@ -13,13 +13,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel import gel
-from evetac_cli.sim.gel.force_balance import Three
-from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, LayerConstants
-from evetac_cli.sim.gel.time_step import TOO_LONG, NodeArrays, step_nodes
+from evetac_cli.sim.gel.friction import FrictionLaw
+from evetac_cli.sim.gel.pad import PadArrays, parts_of
+from evetac_cli.sim.gel.time_step import STEP, TOO_LONG, Allowed, Load, StepRule, step_nodes
 from evetac_cli.sim.setup.solver import MOST_HALVINGS, Solver
 
 # Limit for `Allowed.steepness`, measured on a gel as stiff along a wave as across it. At the default tolerance, the
@@ -54,6 +55,36 @@ class Slice(NamedTuple):
     second_friction_n: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
+# How a slice is divided into steps, how far it is done, and the results so far, which are explained in `Slice`.
+SLICE = np.dtype(
+    [
+        ("slice_s", np.float64),
+        ("residual", np.float64),
+        ("fixed_steps", np.int64),  # 0: as many as necessary
+        ("allowed_m", np.float64),
+        ("allowed_halvings", np.int64),
+        ("done", np.float64),  # part of the slice
+        ("halvings", np.int64),
+        ("step_s", np.float64),  # of the last step
+        ("steps", np.int64),
+        ("error_m", np.float64),
+        ("slip_m", np.float64, 2),
+        ("friction_n", np.float64, 3),
+        ("slipping_force_n", np.float64),
+        ("friction_heat_j", np.float64),
+        ("second_friction_n", np.float64, 3),
+    ]
+)
+
+
+class Pressed(NamedTuple):
+    """A pad, each node's share of the normal force, and their squeeze."""
+
+    pad: PadArrays
+    shares: Floats
+    squeeze: Floats
+
+
 @dataclass
 class Stepper:
     """Divides slices into steps, and keeps the length of the last step for the next slice.
@@ -67,13 +98,11 @@ class Stepper:
     second: gel.GelState | None = None
 
     def __post_init__(self) -> None:
-        # the completed part of the slice, the number of halvings, and the last step in s
-        self._progress = np.zeros(3)
-        self._sums = np.zeros(12)
-        self._fixed_steps = self.solver.fixed_steps or 0
-        self._rule = (self.solver.tolerance_um * 1e-6, self.solver.halvings)
-        # for each pad, the last shares and their squeeze
-        self._kept: dict[int, tuple[gel.GelState, Floats, Floats]] = {}
+        solver, self._record, self._results = self.solver, np.zeros(1, SLICE), np.zeros(1, STEP)
+        self._record["slice_s"], self._record["residual"] = self.slice_s, solver.residual
+        self._record["fixed_steps"] = solver.fixed_steps or 0
+        self._record["allowed_m"], self._record["allowed_halvings"] = solver.tolerance_um * 1e-6, solver.halvings
+        self._kept: dict[int, tuple[gel.GelState, Floats, Floats]] = {}  # last shares and squeeze of each pad
 
     def advance(
         self,
@@ -94,133 +123,114 @@ class Stepper:
         force_n: normal force in N on one pad at the start and the end of the slice. each: called after each step, with
         its results and its duration in s. The other arguments are those of `gel.step`.
         """
-        solver, progress, sums = self.solver, self._progress, self._sums
-        assert shares.shape == state.stuck.shape
-        theta = solver.theta
-        wanted = (0.0, 0.0, 0.0)
+        theta, wanted = self.solver.theta, (0.0, 0.0, 0.0)
         if prescribed_twist is not None:
-            wanted = _three(prescribed_twist)
-            if not any(
-                wanted
-            ):  # nothing oscillates on an object held still: most damping brings the gel to rest soonest
-                theta = 1.0
-        load = (
-            state.gripping(shares),
-            self._squeezed(0, state, shares),
-            *force_n,
-            _three(body_force_n),
-            prescribed_twist is not None,
-            wanted,
-        )
-        settings = (self.slice_s, theta, solver.residual, self._fixed_steps)
-        arrays, law = state.arrays, friction.law
-        second = None
+            wanted = gel.three(prescribed_twist)
+            # nothing oscillates on an object held still: most damping brings the gel to rest soonest
+            theta = theta if any(wanted) else 1.0
+        load = Load(gel.three(body_force_n), prescribed_twist is not None, wanted)
+        pressed, second = self._press(0, state, shares), None
         if self.second is not None:
-            assert second_shares is not None and second_shares.shape == self.second.stuck.shape
-            squeeze = self._squeezed(1, self.second, second_shares)
-            second = (self.second.fields, self.second.gripping(second_shares), squeeze, self.second.layer_constants)
-        progress[0] = 0.0
-        sums[:] = 0.0
-        while progress[0] < 1.0:
-            results = (progress, sums, state.info)
+            assert second_shares is not None
+            second = self._press(1, self.second, second_shares)
+        record, results, done = self._record, self._results, Slice()
+        record["done"] = 0.0
+        while record["done"][0] < 1.0:
             one = each is not None
-            fault = _step_slice(arrays, load, law, settings, self._rule, state.layer_constants, results, one, second)
+            fault, done = _step_slice(pressed, second, force_n, load, friction.law, theta, record, results, one)
             if fault:
                 raise ValueError(gel.FAULTS[fault])
             if each is not None:
-                each(gel.step_info(state.info, solver.residual), float(progress[2]))
-        steps, error_m, slip_x, slip_y, x_n, y_n, moment, slipping_force_n, heat_j, x_2, y_2, moment_2 = sums.tolist()
-        first_n, second_n = (x_n, y_n, moment), (x_2, y_2, moment_2)
-        return Slice(int(steps), error_m, (slip_x, slip_y), first_n, slipping_force_n, heat_j, second_n)
+                each(gel.step_info(results, self.solver.residual), float(record["step_s"][0]))
+        return done
 
-    def _squeezed(self, pad: int, state: gel.GelState, shares: Floats) -> Floats:
-        """Return the squeeze by pressure on a pad; computed again for another pad or another array of shares."""
+    def _press(self, pad: int, state: gel.GelState, shares: Floats) -> Pressed:
+        """Return a pad under a pressure; the squeeze is computed again for another pad or another array of shares."""
         kept = self._kept.get(pad)
         if kept is None or kept[0] is not state or kept[1] is not shares:
+            assert shares.shape == state.stuck.shape
             kept = self._kept[pad] = (state, shares, state.squeezed(shares))
-        return kept[2]
+        return Pressed(state.pad, state.gripping(shares), kept[2])
 
 
-def _three(values: Sequence[float] | Floats) -> Three:
-    """Return three Python floats, which are the fastest to pass to compiled code."""
-    x, y, turn = values
-    return float(x), float(y), float(turn)
-
-
-@njit(cache=True, inline="always")
-def _nodal_forces(memory: Floats, shares: Floats, normal_n: float) -> Floats:
-    """Return the nodes' parts (rows, columns) of a normal force, in the memory of their pad."""
-    rows, columns = shares.shape
-    nodal_n = memory[-3 - rows * columns : -3].reshape(rows, columns)
-    for row in range(rows):
-        for column in range(columns):
-            nodal_n[row, column] = shares[row, column] * normal_n
-    return nodal_n
+@njit(cache=True, _nrt=False)
+def _press(pressed: Pressed, normal_n: float) -> None:
+    """Set the nodes' parts of a normal force in the memory of their pad."""
+    normal, shares = parts_of(pressed.pad).work.normal, pressed.shares
+    for row in range(shares.shape[0]):
+        for column in range(shares.shape[1]):
+            normal[row, column] = shares[row, column] * normal_n
 
 
 @njit(cache=True, _nrt=False)
 def _step_slice(
-    arrays: NodeArrays,
-    load: tuple[Floats, Floats, float, float, Three, bool, Three],
-    friction: FrictionLaw,
-    settings: tuple[float, float, float, int],
-    rule: tuple[float, int],
-    constants: LayerConstants,
-    results: tuple[Floats, Floats, Floats],
+    pressed: Pressed,
+    second: Pressed | None,
+    force_n: tuple[float, float],
+    load: Load,
+    law: FrictionLaw,
+    theta: float,
+    record: NDArray[np.void],
+    results: NDArray[np.void],
     one: bool,
-    second: tuple[Fields, Floats, Floats, LayerConstants] | None,
-) -> int:
-    """Make the steps of a slice from `progress` on, or only `one`; return 0 or the number of an error.
+) -> tuple[int, Slice]:
+    """Make the steps of a slice, or only one more; return the number of an error, or 0, and the results so far.
 
     A loop in compiled code, because returning to Python after each step took 9 us more per step.
     """
-    shares, squeeze, first_n, last_n, force, prescribed, wanted = load
-    slice_s, theta, residual, fixed_steps = settings
-    allowed_m, halvings = rule
-    progress, sums, info = results
-    while progress[0] < 1.0:
-        halved = int(progress[1])
+    state, result = record[0], results[0]
+    slice_s, fixed_steps, allowed_m = state["slice_s"], state["fixed_steps"], state["allowed_m"]
+    if state["done"] == 0.0:
+        state["steps"], state["error_m"] = 0, 0.0
+        state["slipping_force_n"], state["friction_heat_j"] = 0.0, 0.0
+        state["slip_m"][:], state["friction_n"][:], state["second_friction_n"][:] = 0.0, 0.0, 0.0
+    fault = 0
+    while state["done"] < 1.0:
+        halved = state["halvings"]
         share = 1.0 / fixed_steps if fixed_steps else math.ldexp(1.0, -halved)
         dt_s = share * slice_s
-        normal_n = first_n + (progress[0] + theta * share) * (last_n - first_n)
-        nodal_n = _nodal_forces(arrays[13], shares, normal_n)
+        normal_n = force_n[0] + (state["done"] + theta * share) * (force_n[1] - force_n[0])
+        _press(pressed, normal_n)
         if second is None:
             second_pad = None
         else:
-            fields_2, shares_2, squeeze_2, constants_2 = second
-            nodal_2_n = _nodal_forces(fields_2[10], shares_2, normal_n)
-            second_pad = (fields_2, nodal_2_n, (squeeze_2, normal_n), constants_2)
-        most_m, steepest, shortest = math.inf, math.inf, True
+            _press(second, normal_n)
+            second_pad = (second.pad, (second.squeeze, normal_n))
+        allowed = Allowed(math.inf, math.inf, True)
         if not fixed_steps and halved < MOST_HALVINGS:
-            most_m, steepest, shortest = allowed_m, math.inf if prescribed else STEEPEST, halved >= halvings
-        fault = step_nodes(
-            arrays,
-            (nodal_n, (squeeze, normal_n), force, prescribed, wanted),
-            friction,
-            (dt_s, theta, residual, MOST_SWEEPS, most_m, steepest, shortest),
-            constants,
-            info,
-            second_pad,
-        )
+            steepest = math.inf if load.prescribed else STEEPEST
+            allowed = Allowed(allowed_m, steepest, halved >= state["allowed_halvings"])
+        rule = StepRule(dt_s, theta, state["residual"], MOST_SWEEPS, allowed)
+        fault = step_nodes(pressed.pad, (pressed.squeeze, normal_n), second_pad, load, law, rule, results)
         if fault == TOO_LONG:
-            progress[1] += 1
+            state["halvings"] += 1
             continue
         if fault:
-            return int(fault)
-        sums[0] += 1
-        sums[1] = max(sums[1], info[15])
+            break
+        state["steps"] += 1
+        state["error_m"] = max(state["error_m"], result["error_m"])
         for axis in range(2):
-            sums[2 + axis] += dt_s * info[5 + axis]
+            state["slip_m"][axis] += dt_s * result["slip_velocity_m_s"][axis]
         for axis in range(3):
-            sums[4 + axis] += share * info[9 + axis]
-            sums[9 + axis] += share * info[16 + axis]
-        sums[7] = max(sums[7], info[14])
-        sums[8] += info[13]
-        progress[2] = dt_s
-        progress[0] = sums[0] / fixed_steps if fixed_steps else progress[0] + share
+            state["friction_n"][axis] += share * result["friction_n"][axis]
+            state["second_friction_n"][axis] += share * result["second_friction_n"][axis]
+        state["slipping_force_n"] = max(state["slipping_force_n"], result["slipping_force_n"])
+        state["friction_heat_j"] += result["friction_heat_j"]
+        state["step_s"] = dt_s
+        state["done"] = state["steps"] / fixed_steps if fixed_steps else state["done"] + share
         # lengthen the steps, but only if two short ones end together
-        if halved > 0 and info[15] < LONGER * allowed_m and progress[0] / (2.0 * share) % 1.0 == 0.0:
-            progress[1] -= 1
+        if halved > 0 and result["error_m"] < LONGER * allowed_m and state["done"] / (2.0 * share) % 1.0 == 0.0:
+            state["halvings"] -= 1
         if one:
-            return 0
-    return 0
+            break
+    slip, force, force_2 = state["slip_m"], state["friction_n"], state["second_friction_n"]
+    done = Slice(
+        state["steps"],
+        state["error_m"],
+        (slip[0], slip[1]),
+        (force[0], force[1], force[2]),
+        state["slipping_force_n"],
+        state["friction_heat_j"],
+        (force_2[0], force_2[1], force_2[2]),
+    )
+    return fault, done

@@ -2,17 +2,16 @@
 
 The minimum of a convex function (see gel) is found in rounds. Each round makes sweeps of projected over-relaxation over
 the nodes and the sheet that couples them (`relax`), then a Newton step of the object, with which the stuck nodes move
-(see object_move). Each simulated pad has its own `Stencil` and `Work`.
+(see object_move). Each simulated pad has its own `Equation`.
 """
 
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.gel_layer import SPRING
+from evetac_cli.sim.gel.pad import Work
 from evetac_cli.sim.gel.sheet import SheetStencil, largest, pull_sheet, relax_sheet, sheet_imbalance
 
 Three = tuple[float, float, float]  # along x, along y, and about the axis normal to both
@@ -40,78 +39,12 @@ class Stencil(NamedTuple):
     pads: float
 
 
-class Work(NamedTuple):
-    """Memory for one step, (rows, columns[, 2]); `loose`, sheet, sheet_search and after have a border all around.
+class Equation(NamedTuple):
+    """The equation of a pad's nodes in one time step, as far as it is solved: and which nodes stick."""
 
-    The pad keeps it from step to step (see `work_memory`), because allocating it took a tenth of a step.
-
-    velocity: mean velocity of the nodes over the step, the unknown; right: right-hand side of their equation.
-
-    lever: position of the nodes relative to the object's centre; bound: mu * normal force.
-
-    pull: the friction that each node needs; slip, speed: its velocity against the object's surface, and its magnitude.
-
-    loose: 1 for a node that does not move with the object. search_direction: response of the nodes to a motion of the
-    object.
-
-    The sheet's arrays have x and y separately (2, ...): `sheet` is its mean velocity, `sheet_search` its response to a
-    motion, and `sheet_source` the pull of the nodes on it.
-
-    sheet_left, search_left: residuals of the balances of sheet and sheet_search. after: one component in the middle of
-    a sweep.
-    """
-
-    velocity: Floats
-    right: Floats
-    lever: Floats
-    bound: Floats
-    pull: Floats
-    slip: Floats
-    speed: Floats
-    loose: Floats
-    search_direction: Floats
-    sheet: Floats
-    sheet_search: Floats
-    sheet_source: Floats
-    sheet_left: Floats
-    search_left: Floats
-    after: Floats
-    sheet_rule: Floats
-
-
-def work_memory(rows: int, columns: int) -> Floats:
-    """Return zeros (numbers,) for the `Work` of a pad of this size, its normal forces, and the object's twist."""
-    bordered, longer, plain = (rows + 2) * (columns + 2), rows * (columns + 2), rows * columns
-    return np.zeros(6 * bordered + 6 * longer + 15 * plain + 3)
-
-
-@njit(cache=True, _nrt=False, inline="always")
-def work_in(memory: Floats, rule: Floats, rows: int, columns: int) -> Work:
-    """Return the parts of a pad's memory (see `work_memory`); rule: of its sheet."""
-    border = (rows + 2) * (columns + 2)
-    row = rows * (columns + 2)
-    plain = rows * columns
-    rows_at = 6 * border
-    pairs = rows_at + 6 * row
-    singles = pairs + 12 * plain
-    return Work(
-        velocity=memory[pairs : pairs + 2 * plain].reshape(rows, columns, 2),
-        right=memory[pairs + 2 * plain : pairs + 4 * plain].reshape(rows, columns, 2),
-        lever=memory[pairs + 4 * plain : pairs + 6 * plain].reshape(rows, columns, 2),
-        pull=memory[pairs + 6 * plain : pairs + 8 * plain].reshape(rows, columns, 2),
-        slip=memory[pairs + 8 * plain : pairs + 10 * plain].reshape(rows, columns, 2),
-        search_direction=memory[pairs + 10 * plain : singles].reshape(rows, columns, 2),
-        bound=memory[singles : singles + plain].reshape(rows, columns),
-        speed=memory[singles + plain : singles + 2 * plain].reshape(rows, columns),
-        loose=memory[:border].reshape(rows + 2, columns + 2),
-        sheet=memory[border : 3 * border].reshape(2, rows + 2, columns + 2),
-        sheet_search=memory[3 * border : 5 * border].reshape(2, rows + 2, columns + 2),
-        after=memory[5 * border : rows_at],
-        sheet_source=memory[rows_at : rows_at + 2 * row].reshape(2, row),
-        sheet_left=memory[rows_at + 2 * row : rows_at + 4 * row].reshape(2, row),
-        search_left=memory[rows_at + 4 * row : pairs].reshape(2, row),
-        sheet_rule=rule,
-    )
+    stencil: Stencil
+    work: Work
+    stuck: Flags
 
 
 @njit(cache=True, _nrt=False, error_model="numpy")
@@ -125,8 +58,9 @@ def friction_projection(x: float, y: float, bound: float) -> float:
 
 
 @njit(cache=True, _nrt=False, error_model="numpy")
-def relax(work: Work, stencil: Stencil, stuck: Flags, twist: Three) -> None:
+def relax(equation: Equation, twist: Three) -> None:
     """Make one sweep of projected over-relaxation at the object's velocity: over the nodes, then over the sheet."""
+    stencil, work, stuck = equation
     rows, columns = work.bound.shape
     ease = FACTOR / (stencil.own + stencil.spring)
     keep = 1.0 - FACTOR
@@ -161,11 +95,12 @@ def relax(work: Work, stencil: Stencil, stuck: Flags, twist: Three) -> None:
 
 
 @njit(cache=True, _nrt=False, error_model="numpy")
-def imbalance(work: Work, stencil: Stencil, twist: Floats, stuck: Flags) -> tuple[float, Three]:
+def imbalance(equation: Equation, twist: Floats) -> tuple[float, Three]:
     """Return the largest unbalanced force at a node or at the sheet; and a pad's force and moment on the object.
 
     Fills pull and sheet_left, and slip and speed of the loaded nodes.
     """
+    stencil, work, stuck = equation
     velocity, sheet, pull = work.velocity, work.sheet, work.pull
     rows, columns = work.bound.shape
     spring, diagonal = stencil.spring, stencil.own + stencil.spring

@@ -15,6 +15,7 @@ Friction may vary over a gel: `varied` returns each node's factor on both coeffi
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,11 +28,26 @@ WAVES = 256  # number of waves that make up a smooth random field
 NONE_LEFT = 28.0  # beyond it exp(-x^2) is 0 in double precision, and computing it is slow
 
 
+class FrictionLaw(NamedTuple):
+    """Static and kinetic coefficient, the Stribeck velocity in m/s, and the memory length in m."""
+
+    static: float
+    kinetic: float
+    stribeck: float
+    memory: float
+
+
 @njit(cache=True, _nrt=False)
-def coefficient_after(
-    coefficient: float, slip_speed: float, seconds: float, static: float, kinetic: float, stribeck: float, memory: float
-) -> float:
+def coefficient_after(coefficient: float, slip_speed: float, seconds: float, law: FrictionLaw) -> float:
     """Return a node's friction coefficient after some seconds of slip at a constant speed in m/s; exact."""
+    if slip_speed == 0.0 and coefficient == law.static:  # as for most nodes; short, so that no call is left of it
+        return coefficient
+    return float(_adapted(coefficient, slip_speed, seconds, law))
+
+
+@njit(cache=True, _nrt=False)
+def _adapted(coefficient: float, slip_speed: float, seconds: float, law: FrictionLaw) -> float:
+    static, kinetic, stribeck, memory = law
     ratio = slip_speed / stribeck
     steady = kinetic
     if not ratio >= NONE_LEFT:

@@ -30,19 +30,21 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.errors import check_range
 from evetac_cli.kernels.gel_layer import SPRING, Squeeze
 from evetac_cli.sim.gel.contact import cell_area
-from evetac_cli.sim.gel.force_balance import work_memory
-from evetac_cli.sim.gel.friction import half_wavelength_m
-from evetac_cli.sim.gel.pad_equation import Fields, FrictionLaw, LayerConstants, PadConstants, spring
+from evetac_cli.sim.gel.force_balance import Three
+from evetac_cli.sim.gel.friction import FrictionLaw, half_wavelength_m
+from evetac_cli.sim.gel.pad import CONSTANTS, PadArrays, empty_pad, parts_of, settle
+from evetac_cli.sim.gel.pad_equation import spring
 from evetac_cli.sim.gel.sheet import rule_of, sheet_stencil
-from evetac_cli.sim.gel.time_step import INFO_SIZE, Allowed, NodeArrays, step_nodes
+from evetac_cli.sim.gel.time_step import STEP, Allowed, Load, StepRule, step_nodes
 
 MEMORY_M = 20e-6  # a guess: the memory length of friction is unknown for this gel
 
@@ -100,7 +102,7 @@ class Friction:
     @cached_property
     def law(self) -> FrictionLaw:
         """Return the friction law as `step_nodes` takes it."""
-        return float(self.static), float(self.kinetic), float(self.stribeck_speed_m_s), float(self.memory_m)
+        return FrictionLaw(*(float(getattr(self, entry.name)) for entry in fields(self)))
 
 
 class StepInfo(NamedTuple):
@@ -138,16 +140,17 @@ class StepInfo(NamedTuple):
     friction_heat_j: float
     slipping_force_n: float
     error_m: float
+    second_friction_n: tuple[float, float, float]
 
 
-@dataclass(eq=False)
 class GelState:
     """A pad and the object on it. Steps change the arrays in place; `copy` and `restore` allow a step to be repeated.
 
-    displacement_m, velocity_m_s, maxwell_n: (rows, columns, 2), at the end of the last step. creep_n: (arms, rows,
-    columns, 2), force of the slow arms.
+    displacement_m, velocity_m_s, maxwell_n: (rows, columns, 2), at the end of the last step. mean_m_s: of the velocity,
+    over that step. creep_n: (arms, rows, columns, 2), force of the slow arms.
 
-    sheet_m: (2, rows + 2, columns + 2), displacement of the sheet, x and y separately; its border has no meaning.
+    sheet_m, sheet_m_s: (2, rows + 2, columns + 2), displacement of the sheet and its velocity in the last step, x and y
+    separately; the border has no meaning.
 
     slip_m_s: (rows, columns), mean speed of the object's surface against the gel in the last step, 0 for stuck nodes.
     stuck: (rows, columns), whether a node is loaded and does not slip.
@@ -161,33 +164,40 @@ class GelState:
     lands on it).
     """
 
-    node_xy_m: Floats
-    material: GelMaterial
-    pads: int
-    cell_area_m2: float
-    inertia: Floats
-    pose: Floats
-    twist: Floats
-    displacement_m: Floats
-    velocity_m_s: Floats
-    maxwell_n: Floats
-    creep_n: Floats
-    slip_m_s: Floats
-    friction_coefficient: Floats
-    stuck: Flags
-    _mean_m_s: Floats
-    sheet_m: Floats
-    _sheet_m_s: Floats
-    _squeeze: Squeeze | None
-    _layer: PadConstants
-    _creep_arms: Floats
-    layer_constants: LayerConstants  # the constants as a plain tuple, as `step_nodes` takes them
-    info: Floats
-    _numbers: Floats  # memory of all arrays above that a step changes, in one block, so that copying is quick
-    _memory: Floats
-    _stuck_before: Flags
-    _sheet_rule: Floats
-    friction_factor: Floats | None = None
+    def __init__(
+        self, pad: PadArrays, material: GelMaterial, pads: int, cell_area_m2: float, friction_factor: Floats | None
+    ) -> None:
+        self.material, self.pads, self.cell_area_m2 = material, pads, cell_area_m2
+        self.friction_factor = friction_factor
+        squeezes = material.coupled and material.squeezes
+        self._squeeze = Squeeze(pad.node_xy_m, material.height_m) if squeezes else None
+        self._hold(pad)
+
+    def _hold(self, pad: PadArrays) -> None:
+        self.pad, parts = pad, parts_of.py_func(pad)
+        self.node_xy_m: Floats = parts.node_xy_m
+        self.inertia: Floats = parts.inertia
+        self.pose: Floats = parts.pose
+        self.twist: Floats = parts.twist
+        self.displacement_m: Floats = parts.displacement_m
+        self.velocity_m_s: Floats = parts.velocity_m_s
+        self.maxwell_n: Floats = parts.maxwell_n
+        self.mean_m_s: Floats = parts.mean_m_s
+        self.creep_n: Floats = parts.creep_n
+        self.slip_m_s: Floats = parts.slip_m_s
+        self.friction_coefficient: Floats = parts.friction_coefficient
+        self.sheet_m: Floats = parts.sheet_m
+        self.sheet_m_s: Floats = parts.sheet_m_s
+        self.stuck: Flags = parts.stuck
+        self._normal: Floats = parts.work.normal
+
+    def constant(self, name: str) -> float:
+        """Return a constant of the pad, of those in `pad.CONSTANTS`."""
+        return float(self.pad.constants[name][0])
+
+    def press(self, normal: Floats) -> None:
+        """Set the normal force of each node for the next step, as it counts for friction."""
+        self._normal[:] = self.gripping(normal)
 
     def gripping(self, normal: Floats) -> Floats:
         """Return the normal force of each node, or its share, that counts for friction: times its friction_factor.
@@ -201,76 +211,25 @@ class GelState:
         """Return the force (rows, columns, 2) with which the nodes' normal forces, or shares, squeeze the gel aside."""
         return np.zeros_like(self.displacement_m) if self._squeeze is None else self._squeeze.of(normal)
 
-    @cached_property
-    def arrays(self) -> NodeArrays:
-        """Return all arrays that a step reads or changes, as `step_nodes` takes them."""
-        return (
-            self.displacement_m,
-            self.velocity_m_s,
-            self.maxwell_n,
-            self._mean_m_s,
-            self.slip_m_s,
-            self.friction_coefficient,
-            self.stuck,
-            self.pose,
-            self.twist,
-            self.inertia,
-            self.node_xy_m,
-            self.creep_n,
-            self._creep_arms,
-            self._memory,
-            self._stuck_before,
-            self.sheet_m,
-            self._sheet_m_s,
-            self._sheet_rule,
-        )
-
-    @cached_property
-    def fields(self) -> Fields:
-        """Return the arrays of the pad alone, without the object, as `step_nodes` takes those of a second pad."""
-        return (*self.arrays[:7], *self.arrays[10:])
+    def settle(self) -> bool:
+        """Set motion and pull that are too small to matter to 0; return whether the gel is then at rest."""
+        return bool(settle(self.pad))
 
     def copy(self) -> "GelState":
         """Return an independent copy of the present state."""
         twin = copy.copy(self)
-        for of_arrays in ("arrays", "fields"):
-            twin.__dict__.pop(of_arrays, None)
-        twin.stuck, twin._numbers = self.stuck.copy(), self._numbers.copy()
-        rows, columns = self.stuck.shape
-        for name, part in _parts(twin._numbers, rows, columns, len(self.creep_n)).items():
-            setattr(twin, name, part)
+        twin._hold(self.pad._replace(state=self.pad.state.copy(), sticks=self.pad.sticks.copy()))
         return twin
+
+    def is_as(self, earlier: "GelState") -> bool:
+        """Return whether gel, friction and object are as in an earlier copy, bit for bit, whatever their motion."""
+        names = ("displacement_m", "sheet_m", "slip_m_s", "friction_coefficient", "stuck", "pose")
+        return all(np.array_equal(getattr(self, name), getattr(earlier, name)) for name in names)
 
     def restore(self, earlier: "GelState") -> None:
         """Restore an earlier copy."""
-        self._numbers[:] = earlier._numbers
+        self.pad.state[:] = earlier.pad.state
         self.stuck[:] = earlier.stuck
-
-
-def _parts(numbers: Floats, rows: int, columns: int, arms: int) -> dict[str, Floats]:
-    """Return all values of pad and object that a step changes, and the inertia, by name, in one block of memory."""
-    grid = (rows, columns)
-    shapes: dict[str, tuple[int, ...]] = {
-        "inertia": (3,),
-        "pose": (3,),
-        "twist": (3,),
-        "displacement_m": (*grid, 2),
-        "velocity_m_s": (*grid, 2),
-        "maxwell_n": (*grid, 2),
-        "_mean_m_s": (*grid, 2),
-        "creep_n": (arms, *grid, 2),
-        "slip_m_s": grid,
-        "friction_coefficient": grid,
-        "sheet_m": (2, rows + 2, columns + 2),
-        "_sheet_m_s": (2, rows + 2, columns + 2),
-    }
-    ends = np.cumsum([math.prod(shape) for shape in shapes.values()]).tolist()
-    assert ends[-1] == len(numbers)
-    starts = (0, *ends)
-    return {
-        name: numbers[start:end].reshape(shape)
-        for (name, shape), start, end in zip(shapes.items(), starts, ends, strict=False)
-    }
 
 
 def start(
@@ -299,49 +258,43 @@ def start(
     assert len(body_xy_m) == 2 and np.isfinite(body_xy_m).all()
     rows, columns, _ = nodes.shape
     assert friction_factor is None or (friction_factor.shape == (rows, columns) and friction_factor.min() >= 0)
-    pitch_x = float(nodes[0, 1, 0] - nodes[0, 0, 0]) if columns > 1 else math.sqrt(area)
-    pitch_y = float(nodes[1, 0, 1] - nodes[0, 0, 1]) if rows > 1 else math.sqrt(area)
-    regular = np.stack(np.meshgrid(pitch_x * np.arange(columns), pitch_y * np.arange(rows)), axis=-1) + nodes[0, 0]
-    assert pitch_x > 0 and pitch_y > 0 and np.abs(nodes - regular).max() <= 1e-6 * min(pitch_x, pitch_y)
-    shear = material.shear_modulus_pa * area / material.height_m
+    pitch_x, pitch_y = _pitch_m(nodes, area)
     stretch = sheet_stencil(material.height_m, pitch_x, pitch_y)
-    layer = PadConstants(
-        node_mass=4 * material.density_kg_m3 * material.height_m * area / math.pi**2 if material.with_mass else 0.0,
-        shear=shear,
-        spring=SPRING * shear if material.coupled else 0.0,
-        pitch_x=pitch_x,
-        pitch_y=pitch_y,
-        viscous_time=float(material.viscous_time_s),
-        maxwell_share=float(material.maxwell_share),
-        maxwell_time=float(material.maxwell_time_s),
-        pads=float(pads),
-        stretch=stretch,
-    )
-    grid = (rows, columns)
-    arms = len(material.creep_share)
-    numbers = np.zeros(9 + rows * columns * (10 + 2 * arms) + 4 * (rows + 2) * (columns + 2))
-    parts = _parts(numbers, rows, columns, arms)
-    parts["inertia"][:] = body_mass_kg, body_mass_kg, body_inertia_kg_m2
-    parts["pose"][:2] = body_xy_m
-    parts["friction_coefficient"][:] = np.inf
-    return GelState(
-        node_xy_m=nodes,
-        material=material,
-        pads=pads,
-        cell_area_m2=area,
-        **parts,
-        stuck=np.zeros(grid, dtype=np.bool_),
-        _numbers=numbers,
-        _layer=layer,
-        _creep_arms=np.array([material.creep_share, material.creep_time_s]).T.copy(),
-        layer_constants=(*layer[:-1], tuple(stretch)),
-        _squeeze=Squeeze(nodes, material.height_m) if material.coupled and material.squeezes else None,
-        _sheet_rule=rule_of(stretch, rows, columns),
-        info=np.zeros(INFO_SIZE),
-        _memory=work_memory(rows, columns),
-        _stuck_before=np.zeros(grid, dtype=np.bool_),
-        friction_factor=friction_factor,
-    )
+    constants = np.zeros(1, CONSTANTS)
+    values = {"pitch_x": pitch_x, "pitch_y": pitch_y, "pads": pads, **stretch._asdict(), **_constants(material, area)}
+    for name, value in values.items():
+        constants[name] = value
+    creep_arms = np.array([material.creep_share, material.creep_time_s]).T.copy()
+    pad = empty_pad(nodes, creep_arms, rule_of(stretch, rows, columns), constants)
+    state = GelState(pad, material, pads, area, friction_factor)
+    state.inertia[:] = body_mass_kg, body_mass_kg, body_inertia_kg_m2
+    state.pose[:2] = body_xy_m
+    state.friction_coefficient[:] = np.inf
+    return state
+
+
+def _pitch_m(nodes: Floats, area_m2: float) -> tuple[float, float]:
+    """Return the distances between nodes of a regular grid; of a single row or column, those of a square cell."""
+    rows, columns, _ = nodes.shape
+    x_m = float(nodes[0, 1, 0] - nodes[0, 0, 0]) if columns > 1 else math.sqrt(area_m2)
+    y_m = float(nodes[1, 0, 1] - nodes[0, 0, 1]) if rows > 1 else math.sqrt(area_m2)
+    regular = np.stack(np.meshgrid(x_m * np.arange(columns), y_m * np.arange(rows)), axis=-1) + nodes[0, 0]
+    assert x_m > 0 and y_m > 0 and np.abs(nodes - regular).max() <= 1e-6 * min(x_m, y_m)
+    return x_m, y_m
+
+
+def _constants(material: GelMaterial, area_m2: float) -> dict[str, float]:
+    """Return the constants of a node of this area, by their names in `pad.CONSTANTS`."""
+    shear = material.shear_modulus_pa * area_m2 / material.height_m
+    mass = 4 * material.density_kg_m3 * material.height_m * area_m2 / math.pi**2
+    return {
+        "node_mass": mass if material.with_mass else 0.0,
+        "shear": shear,
+        "spring": SPRING * shear if material.coupled else 0.0,
+        "viscous_time": material.viscous_time_s,
+        "maxwell_share": material.maxwell_share,
+        "maxwell_time": material.maxwell_time_s,
+    }
 
 
 def step(
@@ -371,32 +324,34 @@ def step(
     made in both cases. ValueError, before any change, if a value is not finite or out of range.
     """
     nodal = np.ascontiguousarray(nodal_force_n, dtype=np.float64)
-    force = np.asarray(body_force_n, dtype=np.float64)
-    wanted = np.zeros(3) if prescribed_twist is None else np.asarray(prescribed_twist, dtype=np.float64)
     assert nodal.shape == state.stuck.shape
-    assert force.shape == wanted.shape == (3,)
     if not np.isfinite(nodal).all():  # before the squeeze is computed from it
         raise ValueError(FAULTS[1])
     assert tolerance > 0 and max_sweeps >= 1
     check_range("dt_s", dt_s, above=True)
     check_range("theta", theta, 0.5, 1.0)
-    squeeze = (state.squeezed(nodal), 1.0)
-    load = (state.gripping(nodal), squeeze, tuple(force.tolist()), prescribed_twist is not None, tuple(wanted.tolist()))
-    settings = (float(dt_s), float(theta), float(tolerance), max_sweeps, *Allowed())
-    fault = step_nodes(state.arrays, load, friction.law, settings, state.layer_constants, state.info, None)
+    twist = (0.0, 0.0, 0.0) if prescribed_twist is None else three(prescribed_twist)
+    load = Load(three(body_force_n), prescribed_twist is not None, twist)
+    rule = StepRule(float(dt_s), float(theta), float(tolerance), max_sweeps, Allowed())
+    state.press(nodal)
+    results = np.zeros(1, STEP)
+    fault = step_nodes(state.pad, (state.squeezed(nodal), 1.0), None, load, friction.law, rule, results)
     if fault:
         raise ValueError(FAULTS[fault])
-    return step_info(state.info, tolerance)
+    return step_info(results, tolerance)
 
 
-def step_info(numbers: Floats, tolerance: float) -> StepInfo:
-    """Return the results of the last step from the numbers that `step_nodes` filled in."""
-    info = numbers.tolist()
-    gel_velocity, slip_velocity, gel_displacement = (info[3], info[4]), (info[5], info[6]), (info[7], info[8])
-    friction_n = (info[9], info[10], info[11])
-    sweeps, residual, slip_fraction = int(info[0]), info[1], info[2]
-    motion = (slip_fraction, gel_velocity, slip_velocity, gel_displacement)
-    return StepInfo(sweeps, residual, residual <= tolerance, *motion, friction_n, *info[12:16])
+def three(values: Sequence[float] | Floats) -> Three:
+    """Return three Python floats, which are the fastest to pass to compiled code."""
+    x, y, turn = values
+    return float(x), float(y), float(turn)
+
+
+def step_info(results: NDArray[np.void], tolerance: float) -> StepInfo:
+    """Return the results of a step from the record of dtype STEP that it filled in."""
+    values: dict[str, Any] = {name: results[name][0].tolist() for name in STEP.names or ()}
+    values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+    return StepInfo(**values, converged=values["residual"] <= tolerance)
 
 
 FAULTS = (  # messages for the return values of `step_nodes`
@@ -420,7 +375,7 @@ def slip_half_wavelength_nodes(state: GelState, friction: Friction, nodal_force_
         state.material.shear_modulus_pa,
         state.material.height_m,
     )
-    return half_m / max(state._layer.pitch_x, state._layer.pitch_y)
+    return half_m / max(state.constant("pitch_x"), state.constant("pitch_y"))
 
 
 def energy(state: GelState) -> float:
@@ -430,7 +385,6 @@ def energy(state: GelState) -> float:
     the undeformed start, minus the work of external forces and of pressure on the gel, is never positive.
     """
     answer = np.empty_like(state.displacement_m)
-    layer = state._layer
-    spring(state.displacement_m, state.sheet_m, layer.shear, layer.spring, answer)
-    pad = (state.displacement_m * answer).sum() + layer.node_mass * (state.velocity_m_s**2).sum()
+    spring(state.displacement_m, state.sheet_m, state.constant("shear"), state.constant("spring"), answer)
+    pad = (state.displacement_m * answer).sum() + state.constant("node_mass") * (state.velocity_m_s**2).sum()
     return 0.5 * float((state.inertia * state.twist**2).sum() + state.pads * pad)

@@ -4,9 +4,8 @@ The exact line search prevents the object from alternating forever between the t
 Nodes that the step would bring to rest are caught, so that they also move with it. This keeps partial slip cheap: a
 single node about to stick would stop the object again and again (400 sweeps without balance, where 20 are enough).
 
-If the second finger's pad is not a mirror image of the first it is passed as `Other`, and object and nodes of both pads
-are balanced together. If `other` is None, numba omits the code for it when it compiles. `other` is unpacked because
-numba fails on other[0].
+If the second finger's pad is not a mirror image of the first its equation is passed as `other`, and object and nodes of
+both pads are balanced together. If `other` is None, numba omits the code for it when it compiles.
 """
 
 import math
@@ -14,10 +13,9 @@ import math
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.gel_layer import SPRING
-from evetac_cli.sim.gel.force_balance import Stencil, Three, Work
+from evetac_cli.sim.gel.force_balance import Equation, Stencil, Three
+from evetac_cli.sim.gel.pad import Work
 from evetac_cli.sim.gel.sheet import mirror, over_nodes, pull_sheet, relax_sheet, scalar_product, sheet_imbalance
-
-Other = tuple[Work, Stencil, Flags] | None  # the second finger's pad; the flags are which of its nodes stick
 
 # The upper triangle of a symmetric 3 x 3 matrix, row by row.
 Matrix = tuple[float, float, float, float, float, float]
@@ -194,74 +192,64 @@ def _loosen(work: Work, stuck: Flags) -> None:
 
 @njit(cache=True, _nrt=False)
 def _find_move(
-    work: Work,
-    stencil: Stencil,
-    weight: Three,
-    inertial: Three,
-    pads_wrench: Three,
-    stuck: Flags,
-    reach: float,
-    other: Other,
+    one: Equation, other: Equation | None, weight: Three, inertial: Three, pads_wrench: Three, reach: float
 ) -> Three:
     """Return the object's Newton step, recomputed until no more nodes are caught (see `_follow`).
 
     Fills search_direction.
     """
-    _loosen(work, stuck)
+    _loosen(one.work, one.stuck)
     if other is not None:
-        work_2, stencil_2, stuck_2 = other
-        _loosen(work_2, stuck_2)
-    pads = stencil.pads
+        _loosen(other.work, other.stuck)
+    pads = one.stencil.pads
     left = (-inertial[0] - pads_wrench[0], -inertial[1] - pads_wrench[1], -inertial[2] - pads_wrench[2])
     move = (0.0, 0.0, 0.0)
     for _ in range(4):
-        c00, c01, c02, c11, c12, c22 = _curvature(work, stencil)
+        c00, c01, c02, c11, c12, c22 = _curvature(one.work, one.stencil)
         c00, c01, c02, c11, c12, c22 = pads * c00, pads * c01, pads * c02, pads * c11, pads * c12, pads * c22
         if other is not None:
-            m00, m01, m02, m11, m12, m22 = _curvature(work_2, stencil_2)
-            more = stencil_2.pads
+            m00, m01, m02, m11, m12, m22 = _curvature(other.work, other.stencil)
+            more = other.stencil.pads
             c00, c01, c02 = c00 + more * m00, c01 + more * m01, c02 + more * m02
             c11, c12, c22 = c11 + more * m11, c12 + more * m12, c22 + more * m22
         move = _solve3((c00 + weight[0], c01, c02, c11 + weight[1], c12, c22 + weight[2]), left, weight)
-        caught = _follow(work, stencil, move, reach)
+        caught = _follow(one.work, one.stencil, move, reach)
         if other is not None:
-            caught += _follow(work_2, stencil_2, move, reach)
+            caught += _follow(other.work, other.stencil, move, reach)
         if caught == 0:
             break
     return move
 
 
 @njit(cache=True, _nrt=False)
-def _rubbing_of_all(work: Work, stencil: Stencil, move: Three, part: float, other: Other) -> float:
+def _rubbing_of_all(one: Equation, other: Equation | None, move: Three, part: float) -> float:
     """Return the slope of the friction potential of all pads."""
-    slope: float = stencil.pads * _rubbing(work, move, part)
+    slope: float = one.stencil.pads * _rubbing(one.work, move, part)
     if other is not None:
-        work_2, stencil_2, _ = other
-        slope += stencil_2.pads * _rubbing(work_2, move, part)
+        slope += other.stencil.pads * _rubbing(other.work, move, part)
     return slope
 
 
 @njit(cache=True, _nrt=False)
-def _search(work: Work, stencil: Stencil, move: Three, weight: Three, inertial: Three, other: Other) -> float:
+def _search(one: Equation, other: Equation | None, move: Three, weight: Three, inertial: Three) -> float:
     """Return the part of a motion, 0 to 1, at which the potential is least (exact line search); 0 if it only rises.
 
     The nodes move along search_direction.
     """
-    slope, bend = _smooth(work, stencil)
+    slope, bend = _smooth(one.work, one.stencil)
     x, y, turn = move
-    slope = stencil.pads * slope + (inertial[0] * x + inertial[1] * y + inertial[2] * turn)
-    bend = stencil.pads * bend + (weight[0] * x * x + weight[1] * y * y + weight[2] * turn * turn)
+    slope = one.stencil.pads * slope + (inertial[0] * x + inertial[1] * y + inertial[2] * turn)
+    bend = one.stencil.pads * bend + (weight[0] * x * x + weight[1] * y * y + weight[2] * turn * turn)
     if other is not None:
-        work_2, stencil_2, _ = other
-        slope_2, bend_2 = _smooth(work_2, stencil_2)
-        slope += stencil_2.pads * slope_2
-        bend += stencil_2.pads * bend_2
-    start = slope + _rubbing_of_all(work, stencil, move, 0.0, other)
+        slope_2, bend_2 = _smooth(other.work, other.stencil)
+        slope += other.stencil.pads * slope_2
+        bend += other.stencil.pads * bend_2
+    start = slope + _rubbing_of_all(one, other, move, 0.0)
     low = 0.0
     high = 1.0
     part = 1.0
     for _ in range(50):
-        here = slope + part * bend + _rubbing_of_all(work, stencil, move, part, other)
+        here = slope + part * bend + _rubbing_of_all(one, other, move, part)
         if here <= -1e-9 * start:
             low = part
             if part == 1.0 or here >= 1e-3 * start:
@@ -285,14 +273,7 @@ def _answer(work: Work, part: float) -> None:
 
 @njit(cache=True, _nrt=False)
 def move_object(
-    work: Work,
-    stencil: Stencil,
-    twist: Floats,
-    weight: Three,
-    inertial: Three,
-    pads_wrench: Three,
-    stuck: Flags,
-    other: Other,
+    one: Equation, other: Equation | None, twist: Floats, weight: Three, inertial: Three, pads_wrench: Three
 ) -> None:
     """Make a Newton step of the object, and move the nodes that respond to it.
 
@@ -303,13 +284,12 @@ def move_object(
     move = (0.0, 0.0, 0.0)
     part = 0.0
     for reach in REACHES:
-        move = _find_move(work, stencil, weight, inertial, pads_wrench, stuck, reach, other)
-        part = _search(work, stencil, move, weight, inertial, other)
+        move = _find_move(one, other, weight, inertial, pads_wrench, reach)
+        part = _search(one, other, move, weight, inertial)
         if part >= WORTHWHILE:
             break
     for axis in range(3):
         twist[axis] += part * move[axis]
-    _answer(work, part)
+    _answer(one.work, part)
     if other is not None:
-        work_2, _, _ = other
-        _answer(work_2, part)
+        _answer(other.work, part)

@@ -9,21 +9,16 @@ coefficient is exceeded: when friction falls with speed, both may be solutions.
 import math
 from typing import NamedTuple
 
-from evetac_cli.arrays import Flags, Floats
+import numpy as np
+from numpy.typing import NDArray
+
+from evetac_cli.arrays import Flags
 from evetac_cli.kernels.compiled import njit
-from evetac_cli.sim.gel.force_balance import Three, imbalance, relax, work_in
+from evetac_cli.sim.gel.force_balance import Equation, Three, imbalance, relax
+from evetac_cli.sim.gel.friction import FrictionLaw
 from evetac_cli.sim.gel.object_move import move_object
-from evetac_cli.sim.gel.pad_equation import (
-    Fields,
-    FrictionLaw,
-    LayerConstants,
-    Squeezing,
-    advance,
-    begin,
-    let_go,
-    named_constants,
-    refresh,
-)
+from evetac_cli.sim.gel.pad import PadArrays, PadParts, parts_of
+from evetac_cli.sim.gel.pad_equation import Squeezing, advance, let_go, matrix, refresh, set_up
 
 # Number of sweeps between two Newton steps of the object. With 1, 2 and 3 each step took 120, 94 and 81 us, on 24 x 18
 # nodes under a tilted cylinder that begins to slip, on a gel without a sheet.
@@ -31,7 +26,24 @@ SWEEPS_A_ROUND = 3
 # Rounds whose bounds are refreshed. More rounds find no better balance, and without a limit they take up to 400 rounds.
 REFRESHES = 4
 TOO_LONG = 5  # returned by `step_nodes` if its step is longer than its `Allowed` permits
-INFO_SIZE = 19  # numbers that `step_nodes` fills in
+
+# Results of a step, explained in `gel.StepInfo`.
+STEP = np.dtype(
+    [
+        ("sweeps", np.int64),
+        ("residual", np.float64),
+        ("slip_fraction", np.float64),
+        ("gel_velocity_m_s", np.float64, 2),
+        ("slip_velocity_m_s", np.float64, 2),
+        ("gel_displacement_m", np.float64, 2),
+        ("friction_n", np.float64, 3),
+        ("friction_change", np.float64),
+        ("friction_heat_j", np.float64),
+        ("slipping_force_n", np.float64),
+        ("error_m", np.float64),
+        ("second_friction_n", np.float64, 3),  # force of the object on the second pad and its moment
+    ]
+)
 
 
 class Allowed(NamedTuple):
@@ -50,183 +62,191 @@ class Allowed(NamedTuple):
     shortest: bool = True
 
 
-# The arguments of `step_nodes`, in groups. Plain tuples, because named tuples take 4 us longer, of 9 us for a step of
-# 14 x 10 nodes.
-# NodeArrays: displacement, velocity, maxwell, mean (velocity over the last step), slip_speed, friction coefficient,
-# stuck, pose, twist, inertia and nodes. Then the force of each slow arm (arms, rows, columns, 2), and the arms' shares
-# and times in s (arms, 2). Then scratch: memory of its `Work`, and which nodes stuck before. Then the sheet's arrays,
-# as in `Fields`.
-NodeArrays = tuple[
-    Floats,
-    Floats,
-    Floats,
-    Floats,
-    Floats,
-    Floats,
-    Flags,
-    Floats,
-    Floats,
-    Floats,
-    Floats,
-    Floats,
-    Floats,
-    Floats,
-    Flags,
-    Floats,
-    Floats,
-    Floats,
-]
-# Load: normal force of each node, its squeeze of the nodes, force and moment on the object, whether its twist is
-# prescribed, and the prescribed twist.
-Load = tuple[Floats, Squeezing, Three, bool, Three]
-# dt, theta, tolerance, max_sweeps, and the fields of an `Allowed`
-StepSettings = tuple[float, float, float, int, float, float, bool]
-# the second finger's pad: its arrays, the normal force of each of its nodes, their squeeze, and its constants
-Second = tuple[Fields, Floats, Squeezing, LayerConstants] | None
+class Load(NamedTuple):
+    """Force and moment on the object, whether its twist is prescribed, and the prescribed twist."""
+
+    force: Three
+    prescribed: bool
+    twist: Three
+
+
+class StepRule(NamedTuple):
+    """Length of a step in s, its theta, and the end of the search."""
+
+    dt: float
+    theta: float
+    tolerance: float
+    max_sweeps: int
+    allowed: Allowed
+
+
+class PadStep(NamedTuple):
+    """A pad in a step: its arrays, constants and equation."""
+
+    parts: PadParts
+    layer: np.void
+    equation: Equation
 
 
 @njit(cache=True, _nrt=False)
 def step_nodes(
-    arrays: NodeArrays,
+    pad: PadArrays,
+    squeeze: Squeezing,
+    second: tuple[PadArrays, Squeezing] | None,
     load: Load,
-    friction: FrictionLaw,
-    settings: StepSettings,
-    constants: LayerConstants,
-    info: Floats,
-    second: Second,
+    law: FrictionLaw,
+    rule: StepRule,
+    results: NDArray[np.void],
 ) -> int:
     """Make one time step in place; return 0, TOO_LONG, or the number of an error; the last two before any change.
 
-    second: the second finger's pad, if it is also simulated. Fills `info`: sweeps, residual, the rest of `gel.StepInfo`
-    in its order, and then the force of the object on the second pad and its moment.
+    The normal force of each node is in the pad's memory, as `Work.normal`. second: the second finger's pad and its
+    squeeze, if it is also simulated. results: (1,), of dtype STEP, is filled in.
     """
-    stuck, pose, twist, inertia = arrays[6:10]
-    memory, stuck_before = arrays[13:15]
-    coefficient = arrays[5]
-    nodal, squeeze, force, prescribed, wanted = load
-    dt, theta, tolerance, max_sweeps, allowed_m, steepest, shortest = settings
+    parts, layer = parts_of(pad), pad.constants[0]
+    inertia, pose, twist, body = parts.inertia, parts.pose, parts.twist, parts.work.twist
     for axis in range(3):
-        if not (math.isfinite(force[axis]) and math.isfinite(wanted[axis])):
+        if not (math.isfinite(load.force[axis]) and math.isfinite(load.twist[axis])):
             return 2
         if not (math.isfinite(inertia[axis]) and inertia[axis] > 0.0):
             return 3
         if not (math.isfinite(pose[axis]) and math.isfinite(twist[axis])):
             return 4
+    dt, theta = rule.dt, rule.theta
     h = theta * dt
-    state = (*arrays[:7], *arrays[10:])
-    rows, columns = nodal.shape
-    work = work_in(memory, arrays[17], rows, columns)
-    layer = named_constants(constants)
-    fault, scale, square, stencil = begin(state, nodal, squeeze, pose, friction, h, layer, work)
+    fault, scale, square = set_up(parts, layer, squeeze, pose, law, h)
     if fault:
         return int(fault)
+    one = PadStep(parts, layer, Equation(matrix(parts, layer, h), parts.work, parts.stuck))
     if second is None:
         other = None
     else:
-        state_2, nodal_2, squeeze_2, constants_2 = second
-        coefficient_2, stuck_2, memory_2, stuck_before_2 = state_2[5], state_2[6], state_2[10], state_2[11]
-        rows_2, columns_2 = nodal_2.shape
-        work_2 = work_in(memory_2, state_2[14], rows_2, columns_2)
-        layer_2 = named_constants(constants_2)
-        fault, scale_2, _, stencil_2 = begin(state_2, nodal_2, squeeze_2, pose, friction, h, layer_2, work_2)
+        pad_2, squeeze_2 = second
+        parts_2, layer_2 = parts_of(pad_2), pad_2.constants[0]
+        fault, scale_2, _ = set_up(parts_2, layer_2, squeeze_2, pose, law, h)
         if fault:
             return int(fault)
         scale += scale_2
-        other = (work_2, stencil_2, stuck_2)
-        _set_flags(stuck_before_2, stuck_2)
-    falls = friction[1] < friction[0]
-    scale += abs(force[0]) + abs(force[1])
+        other = PadStep(parts_2, layer_2, Equation(matrix(parts_2, layer_2, h), parts_2.work, parts_2.stuck))
+        _set_flags(parts_2.stuck_before, parts_2.stuck)
+    _set_flags(parts.stuck_before, parts.stuck)
+    scale += abs(load.force[0]) + abs(load.force[1])
     # a moment counts as the force that causes it at the mean distance of the nodes from the object's centre
-    reach = math.sqrt(square / nodal.size + layer.pitch_x * layer.pitch_y)
-    scale = max(scale + abs(force[2]) / reach, 1e-300)
-    body = memory[-3:]
+    reach = math.sqrt(square / parts.stuck.size + layer["pitch_x"] * layer["pitch_y"])
+    scale = max(scale + abs(load.force[2]) / reach, 1e-300)
+    sweeps, worst = _balance(one, other, load, law, rule, scale, reach)
+    error = 0.0
+    if not load.prescribed:
+        # difference of the step from a step by the trapezoidal rule, of second order
+        trapezoid_s = dt * abs(1.0 - 0.5 / theta)
+        error = trapezoid_s * (math.hypot(body[0] - twist[0], body[1] - twist[1]) + reach * abs(body[2] - twist[2]))
+    change, error, too_long = _judge(one, other, law, rule, error)
+    if too_long:
+        _set_flags(parts.stuck, parts.stuck_before)
+        if other is not None:
+            _set_flags(parts_2.stuck, parts_2.stuck_before)
+        return TOO_LONG
+    moved = advance(parts, layer, one.equation.stencil.stretch, law, dt, theta, body)
+    heat, pressed, second_friction = moved.heat, moved.pressed, (0.0, 0.0, 0.0)
+    if other is not None:
+        moved_2 = advance(parts_2, layer_2, other.equation.stencil.stretch, law, dt, theta, body)
+        heat, pressed, second_friction = heat + moved_2.heat, max(pressed, moved_2.pressed), moved_2.friction
+    result = results[0]
+    result["sweeps"], result["residual"], result["slip_fraction"] = sweeps, worst / scale, moved.slip_fraction
+    result["friction_change"], result["friction_heat_j"] = change, heat
+    result["slipping_force_n"], result["error_m"] = pressed, error
+    for axis in range(2):
+        result["gel_velocity_m_s"][axis] = moved.gel_velocity[axis]
+        result["slip_velocity_m_s"][axis] = moved.slip_velocity[axis]
+        result["gel_displacement_m"][axis] = moved.gel_displacement[axis]
     for axis in range(3):
-        body[axis] = wanted[axis] if prescribed else twist[axis]
+        result["friction_n"][axis], result["second_friction_n"][axis] = moved.friction[axis], second_friction[axis]
+        pose[axis] += dt * body[axis]
+        twist[axis] = body[axis] if load.prescribed else twist[axis] + (body[axis] - twist[axis]) / theta
+    return 0
+
+
+@njit(cache=True, _nrt=False)
+def _balance(
+    one: PadStep, other: PadStep | None, load: Load, law: FrictionLaw, rule: StepRule, scale: float, reach: float
+) -> tuple[int, float]:
+    """Find the velocities of the nodes and the object's twist; return the sweeps and the largest unbalanced force.
+
+    scale: sum of all forces. reach: the arm by which a moment counts as a force.
+    """
+    parts, equation = one.parts, one.equation
+    inertia, twist, body = parts.inertia, parts.twist, parts.work.twist
+    h, falls = rule.theta * rule.dt, law.kinetic < law.static
+    equation_2 = None if other is None else other.equation
+    for axis in range(3):
+        body[axis] = load.twist[axis] if load.prescribed else twist[axis]
     weight = (inertia[0] / h, inertia[1] / h, inertia[2] / h)
-    _set_flags(stuck_before, stuck)
     sweeps = 0
     rounds = 0
     while True:
         body_now = (body[0], body[1], body[2])
         # one sweep is enough if nothing changes speed; later a sweep costs less than the rest of a round
-        for _ in range(min(SWEEPS_A_ROUND, max_sweeps - sweeps) if sweeps > 0 else 1):
-            relax(work, stencil, stuck, body_now)
-            if second is not None:
-                relax(work_2, stencil_2, stuck_2, body_now)
+        for _ in range(min(SWEEPS_A_ROUND, rule.max_sweeps - sweeps) if sweeps > 0 else 1):
+            relax(equation, body_now)
+            if other is not None:
+                relax(other.equation, body_now)
             sweeps += 1
         if falls and rounds < REFRESHES:
-            refresh(work, nodal, coefficient, body, stuck, h, friction)
-            if second is not None:
-                refresh(work_2, nodal_2, coefficient_2, body, stuck_2, h, friction)
+            refresh(parts, body, law, h)
+            if other is not None:
+                refresh(other.parts, body, law, h)
         rounds += 1
-        worst, wrench = imbalance(work, stencil, body, stuck)
-        pads_x, pads_y, pads_turn = layer.pads * wrench[0], layer.pads * wrench[1], layer.pads * wrench[2]
-        if second is not None:
-            worst_2, wrench_2 = imbalance(work_2, stencil_2, body, stuck_2)
+        worst, wrench = imbalance(equation, body)
+        pads = equation.stencil.pads
+        pads_wrench = (pads * wrench[0], pads * wrench[1], pads * wrench[2])
+        if other is not None:
+            worst_2, wrench_2 = imbalance(other.equation, body)
             worst = max(worst, worst_2)
-            pads_x += layer_2.pads * wrench_2[0]
-            pads_y += layer_2.pads * wrench_2[1]
-            pads_turn += layer_2.pads * wrench_2[2]
-        inertial_x = weight[0] * (body[0] - twist[0]) - force[0]
-        inertial_y = weight[1] * (body[1] - twist[1]) - force[1]
-        inertial_turn = weight[2] * (body[2] - twist[2]) - force[2]
-        if not prescribed:
+            x, y, turn = pads_wrench
+            pads = other.equation.stencil.pads
+            pads_wrench = (x + pads * wrench_2[0], y + pads * wrench_2[1], turn + pads * wrench_2[2])
+        inertial = (
+            weight[0] * (body[0] - twist[0]) - load.force[0],
+            weight[1] * (body[1] - twist[1]) - load.force[1],
+            weight[2] * (body[2] - twist[2]) - load.force[2],
+        )
+        if not load.prescribed:
             worst = max(
                 worst,
-                abs(inertial_x + pads_x),
-                abs(inertial_y + pads_y),
-                abs(inertial_turn + pads_turn) / reach,
+                abs(inertial[0] + pads_wrench[0]),
+                abs(inertial[1] + pads_wrench[1]),
+                abs(inertial[2] + pads_wrench[2]) / reach,
             )
-        if worst <= tolerance * scale or sweeps >= max_sweeps:
-            break
-        if not prescribed:
-            inertial, pads_wrench = (inertial_x, inertial_y, inertial_turn), (pads_x, pads_y, pads_turn)
-            move_object(work, stencil, body, weight, inertial, pads_wrench, stuck, other)
-    error = 0.0
-    if not prescribed:
-        # difference of the step from a step by the trapezoidal rule, of second order
-        trapezoid_s = dt * abs(1.0 - 0.5 / theta)
-        error = trapezoid_s * (math.hypot(body[0] - twist[0], body[1] - twist[1]) + reach * abs(body[2] - twist[2]))
+        if worst <= rule.tolerance * scale or sweeps >= rule.max_sweeps:
+            return sweeps, worst
+        if not load.prescribed:
+            move_object(equation, equation_2, body, weight, inertial, pads_wrench)
+
+
+@njit(cache=True, _nrt=False)
+def _judge(
+    one: PadStep, other: PadStep | None, law: FrictionLaw, rule: StepRule, error: float
+) -> tuple[float, float, bool]:
+    """Return the largest change of a coefficient, the step's error, and whether it is longer than allowed.
+
+    error: of the object's motion alone, in m.
+    """
+    h, allowed = rule.theta * rule.dt, rule.allowed
     change = 0.0
-    too_long, accepted = False, shortest
-    if falls:
-        change, moved_m, released, hardest = let_go(
-            work, nodal, (coefficient, stuck_before, stuck), friction, dt, h, layer
-        )
-        error = max(error, moved_m)
-        resisted = steepest * friction[3] * stencil.own  # the gel's resistance, see `Allowed.steepness`
-        too_long = released > resisted
-        accepted = shortest and hardest <= resisted
-        if second is not None:
-            nodes_2 = (coefficient_2, stuck_before_2, stuck_2)
-            change_2, moved_m, released, hardest = let_go(work_2, nodal_2, nodes_2, friction, dt, h, layer_2)
-            change, error = max(change, change_2), max(error, moved_m)
-            resisted = steepest * friction[3] * stencil_2.own
-            too_long = too_long or released > resisted
-            accepted = accepted and hardest <= resisted
-    if too_long or (error > allowed_m and not accepted):
-        _set_flags(stuck, stuck_before)
-        if second is not None:
-            _set_flags(stuck_2, stuck_before_2)
-        return TOO_LONG
-    info[:] = 0.0
-    if second is not None:
-        advance(state_2, nodal_2, friction, dt, theta, layer_2, work_2, body, info)
-        for axis in range(3):
-            info[16 + axis] = info[9 + axis]
-        heat, pressed = info[13], info[14]
-    info[0] = sweeps
-    info[1] = worst / scale
-    info[12] = change
-    info[15] = error
-    advance(state, nodal, friction, dt, theta, layer, work, body, info)
-    if second is not None:
-        info[13] += heat
-        info[14] = max(info[14], pressed)
-    for axis in range(3):
-        pose[axis] += dt * body[axis]
-        twist[axis] = body[axis] if prescribed else twist[axis] + (body[axis] - twist[axis]) / theta
-    return 0
+    too_long, accepted = False, allowed.shortest
+    if law.kinetic < law.static:
+        falls = let_go(one.parts, one.layer, law, rule.dt, h)
+        change, error = falls.change, max(error, falls.moved_m)
+        resisted = allowed.steepness * law.memory * one.equation.stencil.own  # see `Allowed.steepness`
+        too_long = falls.released > resisted
+        accepted = accepted and falls.hardest <= resisted
+        if other is not None:
+            falls_2 = let_go(other.parts, other.layer, law, rule.dt, h)
+            change, error = max(change, falls_2.change), max(error, falls_2.moved_m)
+            resisted = allowed.steepness * law.memory * other.equation.stencil.own
+            too_long = too_long or falls_2.released > resisted
+            accepted = accepted and falls_2.hardest <= resisted
+    return change, error, too_long or (error > allowed.error_m and not accepted)
 
 
 @njit(cache=True, _nrt=False)

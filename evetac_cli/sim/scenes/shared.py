@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.events import SLICES_PER_S
-from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
 from evetac_cli.sim.gel.cell_gaps import CellGaps
@@ -29,12 +28,6 @@ GRAVITY_M_S2 = 9.81
 FRICTION_SEED = 15485867  # with a sensor's seed: where on its gel friction is higher or lower
 
 LOSS_AT_HZ = 100.0  # frequency of a sensor's loss_tangent
-
-# A gel is at rest if all its motion is slower than this and the pull of its Maxwell arms is weaker. Such motion would
-# shift a dot by 1e-18 px, but positions resolve only 1e-14 px. Displacements below SMALLEST_M are set to 0.
-SLOWEST_M_S = 1e-20
-WEAKEST_N = 1e-22
-SMALLEST_M = 1e-21
 
 
 class GelAndFriction(Essential):
@@ -262,55 +255,13 @@ class GelSlices:
     def _has_come_to_rest(self) -> bool:
         """Return whether the slice left gel and object unchanged; motion below the thresholds is set to 0."""
         for state in self._pads:
-            moving = (state.velocity_m_s, state._mean_m_s, state.maxwell_n, state.creep_n, state._sheet_m_s)
-            if state.twist.any() or not _settle(*moving, state.displacement_m, state.sheet_m):
+            if state.twist.any() or not state.settle():
                 return False
-        if all(
-            np.array_equal(getattr(state, name), getattr(before, name))
-            for state, before in zip(self._pads, self._before, strict=True)
-            for name in ("displacement_m", "sheet_m", "slip_m_s", "friction_coefficient", "stuck", "pose")
-        ):
+        if all(state.is_as(before) for state, before in zip(self._pads, self._before, strict=True)):
             return True
         for state, before in zip(self._pads, self._before, strict=True):
             before.restore(state)
         return False
-
-
-@njit(cache=True, _nrt=False)
-def _settle(
-    velocity: Floats,
-    mean: Floats,
-    maxwell: Floats,
-    creep: Floats,
-    of_sheet: Floats,
-    displacement: Floats,
-    sheet: Floats,
-) -> bool:
-    """Set velocities and Maxwell forces to 0 if all are below the thresholds; return whether they are."""
-    moving, lately, stretching = velocity.reshape(-1), mean.reshape(-1), of_sheet.reshape(-1)
-    lagging, moved, creeping = maxwell.reshape(-1), displacement.reshape(-1), creep.reshape(-1)
-    stretched = sheet.reshape(-1)
-    for k in range(len(moving)):
-        if abs(moving[k]) > SLOWEST_M_S or abs(lately[k]) > SLOWEST_M_S or abs(lagging[k]) > WEAKEST_N:
-            return False
-    for k in range(len(stretching)):
-        if abs(stretching[k]) > SLOWEST_M_S:
-            return False
-    for k in range(len(creeping)):
-        if abs(creeping[k]) > WEAKEST_N:
-            return False
-    creeping[:] = 0.0
-    for k in range(len(moving)):
-        moving[k] = 0.0
-        lately[k] = 0.0
-        lagging[k] = 0.0
-        if abs(moved[k]) < SMALLEST_M:
-            moved[k] = 0.0
-    for k in range(len(stretching)):
-        stretching[k] = 0.0
-        if abs(stretched[k]) < SMALLEST_M:
-            stretched[k] = 0.0
-    return True
 
 
 class SolverTruth:

@@ -61,7 +61,7 @@ def test_the_search_ends_wherever_it_begins(monkeypatch):
     """
 
     def step(state, *given, **changes):
-        state._mean_m_s[...] = state.velocity_m_s
+        state.mean_m_s[...] = state.velocity_m_s
         return real(state, *given, **changes)
 
     real = gel.step

@@ -67,7 +67,7 @@ def dense_layer(state: gel.GelState, order: int, *, goes_on: bool = False) -> La
     """
     count = state.stuck.size
     if order == 0:
-        return LayerMatrix(state._layer.shear * np.eye(2 * count), np.zeros((2 * count, count)))
+        return LayerMatrix(state.constant("shear") * np.eye(2 * count), np.zeros((2 * count, count)))
     shear, pressure = _exact_answers(state) if order == 2 else _sheet_answers(state, goes_on)
     stiffness = np.asarray(np.linalg.inv(shear), dtype=np.float64)
     return LayerMatrix(stiffness, stiffness @ pressure)
@@ -80,7 +80,7 @@ def _sheet_answers(state: gel.GelState, goes_on: bool) -> tuple[Floats, Floats]:
     """
     height_m = state.material.height_m
     rows, columns = state.stuck.shape
-    pitch_x, pitch_y = state._layer.pitch_x, state._layer.pitch_y
+    pitch_x, pitch_y = state.constant("pitch_x"), state.constant("pitch_y")
     more_x, more_y = (math.ceil(BEYOND * height_m / pitch) if goes_on else 0 for pitch in (pitch_x, pitch_y))
     x, y = pitch_x * np.arange(columns + 2 * more_x), pitch_y * np.arange(rows + 2 * more_y)
     nodes = np.stack(np.meshgrid(x, y), axis=-1)
@@ -106,7 +106,7 @@ def _exact_answers(state: gel.GelState) -> tuple[Floats, Floats]:
     waves of a box of BOX pads. Waves finer than the grid alias to coarser ones and are added to those.
     """
     rows, columns = state.stuck.shape
-    pitch_x, pitch_y = state._layer.pitch_x, state._layer.pitch_y
+    pitch_x, pitch_y = state.constant("pitch_x"), state.constant("pitch_y")
     answers = np.zeros((5, BOX * rows, BOX * columns), dtype=np.complex128)
     for finer_y in range(-FINER, FINER + 1):
         for finer_x in range(-FINER, FINER + 1):
@@ -144,25 +144,25 @@ def simulate_dense(
     shares = trial.shares(state)
     stiffness, squeezes = dense_layer(state, order, goes_on=goes_on)
     squeeze = squeezes @ shares.ravel()
-    layer = state._layer
+    viscous_s, share, arm_s = (state.constant(name) for name in ("viscous_time", "maxwell_share", "maxwell_time"))
     count = shares.size
     h = theta * dt_s
     mu = trial.friction.static
-    gain = -layer.maxwell_share * layer.maxwell_time * math.expm1(-h / layer.maxwell_time)
-    matrix = layer.node_mass / h * np.eye(2 * count) + (h + layer.viscous_time + gain) * stiffness
+    gain = -share * arm_s * math.expm1(-h / arm_s)
+    matrix = state.constant("node_mass") / h * np.eye(2 * count) + (h + viscous_s + gain) * stiffness
     ends = np.linalg.eigvalsh(matrix)[[0, -1]]
     penalty = math.sqrt(float(ends[0] * ends[1]))  # between the softest and the stiffest pattern
     matrix[np.diag_indices(2 * count)] += penalty
     soften = cho_solve(cho_factor(matrix), np.eye(2 * count))
-    weight = state.inertia / h / layer.pads
+    weight = state.inertia / h / state.pads
     moved, moving, lagging, slip, price = np.zeros((5, 2 * count))
     samples = []
     for k in range(round(trial.seconds / dt_s)):
         grip_n = trial.grip_n((k + theta) * dt_s)
         bound = mu * grip_n * shares.ravel() / penalty
-        right = layer.node_mass / h * moving - stiffness @ moved + grip_n * squeeze
-        right -= math.exp(-h / layer.maxwell_time) * lagging
-        body_right = weight * state.twist + np.array(trial.weight_n((k + theta) * dt_s)) / layer.pads
+        right = state.constant("node_mass") / h * moving - stiffness @ moved + grip_n * squeeze
+        right -= math.exp(-h / arm_s) * lagging
+        body_right = weight * state.twist + np.array(trial.weight_n((k + theta) * dt_s)) / state.pads
         arm = (state.node_xy_m - state.pose[:2]).reshape(-1, 2).T
         ways = np.zeros((3, 2, count))  # motion of the nodes with the object
         ways[0, 0] = ways[1, 1] = 1.0
@@ -185,8 +185,8 @@ def simulate_dense(
                 break
         else:
             raise RuntimeError(f"no balance in step {k}")
-        lagging[:] *= math.exp(-dt_s / layer.maxwell_time)
-        build = -layer.maxwell_share * layer.maxwell_time * math.expm1(-dt_s / layer.maxwell_time)
+        lagging[:] *= math.exp(-dt_s / arm_s)
+        build = -share * arm_s * math.expm1(-dt_s / arm_s)
         lagging[:] += build * (stiffness @ velocity)
         moved[:] += dt_s * velocity
         moving = moving + (velocity - moving) / theta

@@ -6,7 +6,7 @@ import pytest
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.contact import gap_profile, pad_nodes, pressure
-from evetac_cli.sim.gel.time_step import TOO_LONG, Allowed, step_nodes
+from evetac_cli.sim.gel.time_step import STEP, TOO_LONG, Allowed, Load, StepRule, step_nodes
 from evetac_cli.sim.setup.solver import Solver
 
 FRICTION = gel.Friction(0.8, 0.64, 0.01, 20e-6)
@@ -67,23 +67,12 @@ def test_a_slice_that_is_too_coarse_is_taken_back_whole() -> None:
     """Assert that a step above its error changes nothing of the state, and that it is then made in halves."""
     state, shares = cylinder()
     before = state.copy()
-    nodal_n = 2.0 * shares
-    load = (nodal_n, (state.squeezed(nodal_n), 1.0), 100.0 * WEIGHT_N, False, state.twist)
-    settings = (1e-3, 0.51, 1e-6, 400, *Allowed(error_m=1e-9, shortest=False))
-    assert step_nodes(state.arrays, load, FRICTION.law, settings, state.layer_constants, state.info, None) == TOO_LONG
-    for name in (
-        "displacement_m",
-        "velocity_m_s",
-        "maxwell_n",
-        "pose",
-        "twist",
-        "stuck",
-        "slip_m_s",
-        "_mean_m_s",
-        "sheet_m",
-    ):
-        assert (getattr(state, name) == getattr(before, name)).all()
-    assert (state.friction_coefficient == before.friction_coefficient).all()
+    state.press(2.0 * shares)
+    load, squeeze = Load(gel.three(100.0 * WEIGHT_N), False, (0.0, 0.0, 0.0)), (state.squeezed(2.0 * shares), 1.0)
+    rule = StepRule(1e-3, 0.51, 1e-6, 400, Allowed(error_m=1e-9, shortest=False))
+    assert step_nodes(state.pad, squeeze, None, load, FRICTION.law, rule, np.zeros(1, STEP)) == TOO_LONG
+    assert (state.pad.state == before.pad.state).all()
+    assert (state.stuck == before.stuck).all()
 
 
 def test_constant_friction_keeps_every_coefficient() -> None:

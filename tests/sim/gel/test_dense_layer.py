@@ -10,7 +10,7 @@ from evetac_cli.evaluate.cost.simulator import draw_trial
 from evetac_cli.kernels.gel_layer import SPRING, compliance
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.contact import pad_nodes
-from evetac_cli.sim.gel.sheet import pull_sheet, relax_sheet
+from evetac_cli.sim.gel.sheet import SheetStencil, pull_sheet, relax_sheet
 from tests.sim.gel.dense_layer import dense_layer, simulate, simulate_dense
 
 COARSE = replace(draw_trial(0), columns=12, rows=9)
@@ -128,7 +128,7 @@ def test_dense_layers_are_symmetric():
     for order, goes_on in ((0, False), (1, False), (1, True), (2, True)):
         layer = dense_layer(state, order, goes_on=goes_on)
         np.testing.assert_allclose(layer.stiffness, layer.stiffness.T, atol=1e-9 * layer.stiffness.max())
-        shear = state._layer.shear
+        shear = state.constant("shear")
         softest, stiffest = np.linalg.eigvalsh(layer.stiffness)[[0, -1]] / shear
         assert softest == pytest.approx(1, rel=1e-9) if not goes_on else softest > 1.2
         least, most = ((1 - 1e-9, 1 + 1e-9), (4.0, 1 + SPRING), (1 + SPRING, np.inf))[order]
@@ -143,8 +143,9 @@ def test_the_dense_sheet_is_that_of_the_gel():
     state.displacement_m[:] = rng.normal(0, 1e-5, state.displacement_m.shape)
     after, source = np.zeros(11 * 14), np.zeros((2, 9 * 14))
     pull_sheet(state.displacement_m, source)
+    stretch = SheetStencil(*(state.constant(name) for name in SheetStencil._fields))
     for _ in range(200):
-        relax_sheet(state.sheet_m, source, state._layer.stretch, state._sheet_rule, after)
+        relax_sheet(state.sheet_m, source, stretch, state.pad.sheet_rule, after)
     moved = np.moveaxis(state.displacement_m, 2, 0).ravel()
     assert gel.energy(state) == pytest.approx(0.5 * state.pads * moved @ layer.stiffness @ moved, rel=1e-9)
     normal = COARSE.shares(state)

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from evetac_cli.kernels.gel_layer import ACROSS, SPRING, compliance
 from evetac_cli.sim.gel import contact, dots, gel
-from evetac_cli.sim.gel.friction import coefficient_after, half_wavelength_m, varied
+from evetac_cli.sim.gel.friction import FrictionLaw, coefficient_after, half_wavelength_m, varied
 
-LAW = (0.8, 0.64, 0.01, 20e-6)
+LAW = FrictionLaw(0.8, 0.64, 0.01, 20e-6)
 CELL_M2 = 1e-6
 
 
@@ -27,7 +27,7 @@ def test_a_coefficient_never_leaves_its_range(first: float, pieces: list[tuple[f
     """Assert that it stays between kinetic and static, whatever the speeds and however long they last."""
     coefficient = first
     for speed, seconds in pieces:
-        coefficient = coefficient_after(coefficient, speed, seconds, *LAW)
+        coefficient = coefficient_after(coefficient, speed, seconds, LAW)
         assert 0.64 - 1e-12 <= coefficient <= 0.8 + 1e-12
 
 
@@ -39,13 +39,13 @@ def test_a_jump_of_speed_is_followed_exactly(steps: int) -> None:
     expected = steady + (0.8 - steady) * math.exp(-(speed + 0.01) * seconds / 20e-6)
     coefficient = 0.8
     for _ in range(steps):
-        coefficient = coefficient_after(coefficient, speed, seconds / steps, *LAW)
+        coefficient = coefficient_after(coefficient, speed, seconds / steps, LAW)
     assert coefficient == pytest.approx(expected, rel=1e-12)
 
 
 def test_without_memory_the_law_is_that_of_the_speed() -> None:
     """Assert that a coefficient without memory is the steady one at once."""
-    assert coefficient_after(0.8, 0.01, 1e-9, 0.8, 0.64, 0.01, 0.0) == pytest.approx(0.64 + 0.16 / math.e)
+    assert coefficient_after(0.8, 0.01, 1e-9, FrictionLaw(0.8, 0.64, 0.01, 0.0)) == pytest.approx(0.64 + 0.16 / math.e)
 
 
 @pytest.mark.parametrize("ratio", [0.0, 20.0, 27.0, 27.29, 27.3, 28.0, 28.1, 1e3])
@@ -55,7 +55,7 @@ def test_a_coefficient_at_high_speed_is_that_of_the_formula(ratio: float) -> Non
     speed = ratio * stribeck
     steady = kinetic + (static - kinetic) * math.exp(-((speed / stribeck) ** 2))
     kept = math.exp(-(speed + stribeck) * seconds / memory)
-    found = coefficient_after(0.7, speed, seconds, static, kinetic, stribeck, memory)
+    found = coefficient_after(0.7, speed, seconds, FrictionLaw(static, kinetic, stribeck, memory))
     assert found == pytest.approx(steady + (0.7 - steady) * kept, rel=1e-15)
 
 
@@ -70,7 +70,7 @@ def test_a_slider_grows_as_its_cubic_says(load_mn: float) -> None:
     load_n, speed = 1e-3 * load_mn, 3e-3
     material = gel.GelMaterial(squeezes=False, maxwell_share=0.0)
     state = one_node(speed, material)
-    k, m = state._layer.shear, state._layer.node_mass
+    k, m = state.constant("shear"), state.constant("node_mass")
     c = k * material.viscous_time_s
     ratio = speed / stribeck
     w = -2 * ratio / stribeck * (static - kinetic) * math.exp(-ratio * ratio) * load_n
