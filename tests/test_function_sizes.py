@@ -16,7 +16,7 @@ MOST_LINES, MOST_ARGUMENTS = 60, 8
 LONG = {
     "controller_process.py _command": "a step is safe by the order of its parts, from top to bottom",
     "real_time.py run": "what is opened is closed in the reverse order, also by Ctrl-C between two lines",
-    "camera.py start": "the fields of one record, each with its reason",
+    "camera.py start": "many fields of one record, drawn in the order of its lines",
     "gel.py start": "the fields of one record, each with its reason",
     "gel_camera.py __init__": "the settings of one record, each with its reason",
     "training.py train": "one run of the optimiser: what it saves is what it resumes from",

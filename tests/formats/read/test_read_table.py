@@ -120,23 +120,6 @@ def test_columns_keep_their_names_and_order(tmp_path: Path) -> None:
     assert notes == ["left out: columns struct, words, which are not numeric"]
 
 
-def test_damaged_page_headers_end_in_words(tmp_path: Path) -> None:
-    """Assert that any byte of a file may be another: what is read is refused in words, or as long as it was."""
-    path = written(tmp_path / "a.parquet", {"t_ms": np.arange(ROWS), "x": X}, compression="zstd")
-    whole = path.read_bytes()
-    outcomes = set()
-    for _ in range(150):
-        damaged = bytearray(whole)
-        for at in RNG.integers(4, 200 if RNG.random() < 0.5 else len(damaged), 1 + RNG.integers(4)):
-            damaged[at] = RNG.integers(256)
-        path.write_bytes(damaged)
-        try:
-            outcomes.add(len(read(path).t_us) <= ROWS)
-        except InputError as error:
-            outcomes.add(type(error))
-    assert InputError in outcomes and False not in outcomes
-
-
 def test_times_that_64_bits_do_not_hold(tmp_path: Path) -> None:
     """Assert that times are refused that would come out as others, of few microseconds, once they are numbers of us."""
     least = pa.array([-(2**63), 1])

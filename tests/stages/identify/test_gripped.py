@@ -200,15 +200,6 @@ def test_why_a_grip_tells_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert by_name["static friction x force per current"].source == why["drive"]
 
 
-def test_when_it_slips() -> None:
-    """Assert the slice in which the gel goes back, and that gel which does not has not slipped."""
-    held = np.linspace(1.0, 1.1, 3000)
-    assert gripped._slips(held) is None and gripped._slips(held[:5]) is None
-    gone = np.concatenate([held, 1.1 * np.exp(-np.arange(500) / 100)])
-    slips = gripped._slips(gone)
-    assert slips is not None and np.all(np.abs(slips - 3000) < 30) and np.all(np.diff(slips) >= 0)
-
-
 def test_when_the_weight_comes_on() -> None:
     """Assert direction, time and length of a load, and that a hold without one, or a short one, is refused."""
     path = np.zeros((5000, 6, 2), np.float32)
@@ -221,13 +212,6 @@ def test_when_the_weight_comes_on() -> None:
         gripped._loading(path[:1900])
     with pytest.raises(ValueError, match="too short"):
         gripped._loading(path[:500])
-
-
-def test_the_longest_hold() -> None:
-    """Assert the first and last ms under one commanded current."""
-    time_us = np.arange(1, 2001) * 2000
-    current = np.concatenate([np.arange(500.0), np.full(1000, 60.0), np.arange(500.0)])
-    assert gripped._longest_hold(GripperRows(time_us, current, current, time_us)) == (1002, 3002)
 
 
 @pytest.fixture(scope="module")

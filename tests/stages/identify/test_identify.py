@@ -2,7 +2,6 @@
 
 import contextlib
 import shutil
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -78,21 +77,6 @@ def test_its_own_sensor_records(resting: Path, tmp_path: Path) -> None:
     again, _ = identified([recorded(tmp_path, str(path), seed=1, name="again")], tmp_path / "again.sensor.toml")
     for name in ("noise_hz", "noise_on_share", "hot pixels above 20 Hz", "events of hot pixels"):
         assert again[name]["low"] <= rows[name]["high"] and again[name]["high"] >= rows[name]["low"], name
-
-
-def test_a_second_time(resting: Path, tmp_path: Path) -> None:
-    """Assert that the same recipe is not made again, another not without --force, and that none is half written."""
-    _, path = identified([resting], tmp_path)
-    before = path.read_bytes()
-    (job,) = identify.jobs([resting], Identify(), tmp_path)
-    assert not identify.run(job, Identify()).made
-    other = Identify(name="lab-3")
-    with pytest.raises(InputError, match="another recipe"):
-        identify.run(job, other)
-    assert path.read_bytes() == before
-    identify.run(job, other, force=True)
-    assert tomllib.loads(path.read_text())["name"] == "lab-3"
-    assert [file.name for file in tmp_path.iterdir()] == [path.name]
 
 
 def test_nothing_is_told_where_nothing_rests(resting: Path, tmp_path: Path) -> None:

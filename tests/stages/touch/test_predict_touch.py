@@ -1,15 +1,12 @@
 """predict-touch: offline as online, known and unknown gels, maps, what a file says, and what is refused."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from evetac_cli.cli.main import app
 from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.force import gel_forces
@@ -192,18 +189,3 @@ def test_what_cannot_be_told(pressed: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no touch can be estimated from these dots"):
         run_valid(predict_touch, [path], PredictTouch(), tmp_path / "refused.h5")
     assert not list(tmp_path.glob("refused*"))
-
-
-def test_from_the_command_line(pressed: Path, tmp_path: Path) -> None:
-    """Assert that a file is made once, that other flags are another file, and that validate and info know it."""
-    words = ["predict-touch", str(pressed), "-o", str(tmp_path / "a.touch.h5"), "--sensor", "evetac", "--json"]
-    made, again, other = (CliRunner().invoke(app, [*words, *more]) for more in ([], [], ["--map-every", "20"]))
-    assert (made.exit_code, again.exit_code, other.exit_code) == (0, 0, 2), made.output
-    (row,) = json.loads(made.stdout)["rows"]
-    assert row["shear_modulus"] == "known" and row["maps"] == SLICES // 10 and row["status"] == "made"
-    assert row["touched_s"] == pytest.approx((SLICES - TOUCHED) / 1000)
-    assert json.loads(again.stdout)["rows"][0]["status"] != "made"
-    assert "map_every" in other.stderr
-    for command in ("validate", "info"):
-        run = CliRunner().invoke(app, [command, str(tmp_path / "a.touch.h5"), "--json"])
-        assert run.exit_code == 0, run.output

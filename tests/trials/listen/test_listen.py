@@ -258,21 +258,6 @@ def test_a_camera_that_fails_ends_no_series(
     assert numbers(tmp_path / "b.recording.h5")
 
 
-def test_a_trial_that_nobody_stops_ends_after_its_seconds(listened: Callable[..., KeyboardInterrupt]) -> None:
-    """Assert that `--seconds` ends a trial, and that `stop` afterwards still answers with the file."""
-
-    def program(folder: Path) -> None:
-        arm = Arm(folder)
-        arm.ask("start", name="a")
-        arm.drop()
-        arm = Arm(folder)
-        assert until(lambda: arm.ask("status")["state"] == "idle")
-        answer = arm.ask("stop")
-        assert (answer["ok"], answer["ended"], answer["slices"]) == (True, "after the seconds asked for", 50)
-
-    listened(program, seconds=0.05)
-
-
 def test_marks_survive_a_kill_of_the_recorder(tmp_path: Path) -> None:
     """Assert that marks of closed segments are in the repaired file, also those that came after the last slice."""
     path = tmp_path / "a.recording.h5"
