@@ -7,7 +7,7 @@ table `common`, and a command lists those that it has.
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -63,4 +63,5 @@ def columns_of(command: str) -> dict[str, Column]:
 def find(columns: Mapping[str, Column], name: str) -> Column | None:
     """Return the column with a name, also where the entry has a `*` or the name is the one of a terminal."""
     same = (one for one in columns.values() if name == one.short or "*" in one.name and fnmatchcase(name, one.name))
-    return columns.get(name) or next(same, None)
+    column = columns.get(name) or next(same, None)
+    return column and replace(column, name=name)

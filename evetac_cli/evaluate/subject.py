@@ -29,6 +29,7 @@ class SubjectTable:
 class Subject(Command):
     """A subject of `evaluate`; rows of its tables come from its reports."""
 
+    unit: str = "files"
     panel: str = field(kw_only=True)
     title: str = field(kw_only=True)  # of its section of the report page ...
     about: str = field(kw_only=True)  # ... and what is said there on its contents

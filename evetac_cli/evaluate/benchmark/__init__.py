@@ -56,7 +56,6 @@ SUBJECT = Subject(
     "evaluate.benchmark.command",
     "The folder of a benchmark.",
     kind="",
-    unit="files",
     examples=(
         "evetac evaluate benchmark bench-small",
         "evetac evaluate benchmark bench-small --predictions mine",

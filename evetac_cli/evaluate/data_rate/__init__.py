@@ -27,7 +27,6 @@ SUBJECT = Subject(
     EvaluateDataRate,
     "evaluate.data_rate.measure",
     "Recordings.",
-    unit="files",
     examples=("evetac evaluate data-rate data",),
     panel=THE_PAPER,
     title="Data rate",

@@ -79,7 +79,6 @@ SUBJECT = Subject(
     "evaluate.force.measure",
     "Tracks of simulated shear recordings.",
     kind="tracks",
-    unit="files",
     examples=("evetac evaluate force unseen", "evetac evaluate force unseen --model shear.force-model.h5"),
     panel=OWN_DATA,
     title="Forces from dots",

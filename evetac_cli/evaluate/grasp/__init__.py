@@ -16,7 +16,6 @@ SUBJECT = Subject(
     EvaluateGrasp,
     "evaluate.grasp.measure",
     "Recordings made by grasp.",
-    unit="files",
     examples=("evetac evaluate grasp grasps",),
     panel=OWN_DATA,
     title="Grasps",

@@ -16,7 +16,6 @@ SUBJECT = Subject(
     "evaluate.labels.measure",
     "Labels of simulated recordings.",
     kind="labels",
-    unit="files",
     examples=("evetac evaluate labels data",),
     panel=OWN_DATA,
     title="Labels against the truth",

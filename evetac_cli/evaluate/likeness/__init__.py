@@ -15,7 +15,6 @@ SUBJECT = Subject(
     EvaluateLikeness,
     "evaluate.likeness.command",
     "Recordings at rest, of presses or of slips, as available.",
-    unit="files",
     examples=(
         "evetac evaluate likeness slip rest.recording.h5",
         "evetac evaluate likeness real.recording.h5 --json",

@@ -23,7 +23,6 @@ SUBJECT = Subject(
     EvaluateRealism,
     "evaluate.realism.measure",
     "A real recording, then a simulated one.",
-    unit="files",
     examples=("evetac evaluate realism real.recording.h5 simulated.recording.h5",),
     panel=SIMULATOR,
     title="Simulated against real",

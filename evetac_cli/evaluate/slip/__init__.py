@@ -70,7 +70,6 @@ SUBJECT = Subject(
     "evaluate.slip.measure",
     "Labelled features not used in training.",
     kind="features",
-    unit="files",
     examples=(
         "evetac evaluate slip unseen --model hist10.model.h5",
         "evetac evaluate slip unseen --model hist10.model.h5,shipped",

@@ -25,7 +25,6 @@ SUBJECT = Subject(
     "evaluate.tracking.measure",
     "Tracks made with one or more presets.",
     kind="tracks",
-    unit="files",
     examples=("evetac evaluate tracking data", "evetac evaluate tracking stable paper --recordings data"),
     panel=OWN_DATA,
     title="Dot tracking",

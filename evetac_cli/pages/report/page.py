@@ -98,7 +98,7 @@ def _section(subject: Subject, studies: Sequence[Study]) -> str:
     of_reports = [(study, one) for study in studies for one in study.reports(f"evaluate {subject.name}")]
     several = len(studies) > 1
     legend = columns_of(f"evaluate {subject.name}")
-    shown_columns: dict[str, Column] = {}
+    explained: dict[str, str] = {}
     text = _charts(
         (f"{study.name}: {evaluation.path}" if several else evaluation.path, _image(evaluation.plot))
         for study, evaluation in of_reports
@@ -108,17 +108,16 @@ def _section(subject: Subject, studies: Sequence[Study]) -> str:
         # A table without columns shows all columns of a report, which differ between reports.
         for some in [of_reports] if shown.columns else [[one] for one in of_reports]:
             if entries := _entries(shown, some):
-                columns = {name: find(legend, name) or Column(name, "") for name in _with_values(shown, entries)}
+                columns = [find(legend, name) or Column(name, "") for name in _with_values(shown, entries)]
                 text += _table(shown, some, entries, columns, several)
-                shown_columns |= {column.name: column for column in columns.values()}
-    return f"<p class='hint'>{html.escape(subject.about)}</p>{text}{_legend(shown_columns.values())}" if text else ""
+                explained |= {column.title: column.in_words for column in columns}
+    return f"<p class='hint'>{html.escape(subject.about)}</p>{text}{_legend(explained)}" if text else ""
 
 
-def _legend(columns: Iterable[Column]) -> str:
-    """Return the meaning of columns, folded; empty without any."""
-    rows = [f"<dt>{html.escape(column.title)}</dt><dd>{html.escape(column.in_words)}</dd>" for column in columns]
-    heads = "<summary>What the columns mean</summary>"
-    return f"<details class='legend'>{heads}<dl>{''.join(rows)}</dl></details>" if rows else ""
+def _legend(explained: Mapping[str, str]) -> str:
+    """Return the meaning of each heading, folded; empty without any."""
+    rows = "".join(f"<dt>{html.escape(title)}</dt><dd>{html.escape(words)}</dd>" for title, words in explained.items())
+    return f"<details class='legend'><summary>What the columns mean</summary><dl>{rows}</dl></details>" if rows else ""
 
 
 def _entries(shown: SubjectTable, of_reports: Sequence[tuple[Study, Found]]) -> Entries:
@@ -144,17 +143,17 @@ def _table(
     shown: SubjectTable,
     of_reports: Sequence[tuple[Study, Found]],
     entries: Entries,
-    columns: Mapping[str, Column],
+    columns: Sequence[Column],
     several: bool,
 ) -> str:
     """Return a table of a subject."""
     with_report, numbered = len(of_reports) > 1, shown.numbered
     heads = ["study"] * several + ["report"] * with_report + ["row"] * numbered
-    heads += [html.escape(column.heading or name.replace("_", " ")) for name, column in columns.items()]
+    heads += [html.escape(column.title) for column in columns]
     rows = []
     for study, evaluation, number, row in entries[:MOST_ROWS]:
         cells = [cell(study.name)] * several + [cell(evaluation.path)] * with_report + [cell(number)] * numbered
-        cells += [_with_paper(name, row, evaluation) for name in columns]
+        cells += [_with_paper(column.name, row, evaluation) for column in columns]
         bad = " class='bad'" if row.get("ok") is False else ""
         rows.append(f"<tr{bad}>{''.join(cells)}</tr>")
     simulated = all(evaluation.simulated for _, evaluation in of_reports)
