@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from scripts.reproduce.facts import ROOT, Refusal
 from scripts.reproduce.plan import EXPERIMENTS
 from scripts.reproduce.steps import evetac
 from scripts.reproduce.table_text import text
-from scripts.reproduce.tables import Column, Evaluation, Table, summaries
+from scripts.reproduce.tables import Column, Table, summaries
 from tests.patience import PATIENCE_S
 
 BY_NAME = {experiment.name: experiment for experiment in EXPERIMENTS}
@@ -277,42 +277,22 @@ def test_a_page_is_filled_between_its_marks(tmp_path: Path) -> None:
         results.fill_page(page.replace("labels", "lost"), tmp_path / "results")
 
 
-def evaluation(*rows: Row) -> Evaluation:
-    """An evaluation that printed these rows."""
-    return Evaluation(list(rows), {}, True, header([1]))
-
-
-def interrupt_when(
-    shows: Callable[[Path], bool], folder: Path, words: Sequence[str], times: int = 1
-) -> tuple[int, str]:
-    """Run the script as a terminal does, press Ctrl-C once something shows; its exit code and what it said."""
-    command = [sys.executable, run.__file__, *words, "--out", str(folder), "--results", str(folder / "results")]
+def test_ctrl_c_leaves_nothing_unfinished(tmp_path: Path) -> None:
+    """Assert exit code 130, one sentence and no traceback, and that the command at work takes its files away."""
+    words = ["--only", "demo", "--jobs", "2", "--out", str(tmp_path), "--results", str(tmp_path / "results")]
     process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
-    )
+        [sys.executable, run.__file__, *words],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
+    )  # fmt: skip
     try:
-        while not shows(folder):
+        while not any(tmp_path.rglob("*.recording.h5")):
             assert process.poll() is None, process.communicate()[0]
             time.sleep(0.02)
-        for _ in range(times):
-            os.killpg(process.pid, signal.SIGINT)
+        os.killpg(process.pid, signal.SIGINT)
         said, _ = process.communicate(timeout=PATIENCE_S)
     finally:
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
-    return process.returncode, said
-
-
-def left(folder: Path) -> list[str]:
-    """What is unfinished in a folder."""
-    return [str(path) for pattern in ("*.part*", "*.tmp*") for path in folder.rglob(pattern)]
-
-
-def test_ctrl_c_leaves_nothing_unfinished(tmp_path: Path) -> None:
-    """Assert exit code 130, one sentence and no traceback, and that the command at work takes its files away."""
-    words = ["--only", "demo", "--jobs", "2"]
-    code, said = interrupt_when(lambda folder: any(folder.rglob("*.recording.h5")), tmp_path, words)
-    assert code == 130, said
-    assert "Traceback" not in said
+    assert process.returncode == 130 and "Traceback" not in said, said
     assert said.splitlines()[-1].startswith("interrupted: complete files are kept")
-    assert left(tmp_path) == []
+    assert [path for pattern in ("*.part*", "*.tmp*") for path in tmp_path.rglob(pattern)] == []

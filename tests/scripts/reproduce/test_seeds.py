@@ -11,13 +11,12 @@ import pytest
 
 from evetac_cli.evaluate.subjects import PAPER
 from evetac_cli.resources import PACKAGE
-from scripts.reproduce import seeds as seen_seeds
-from scripts.reproduce.seeds import faults, fit_faults, seen_by
+from scripts.reproduce.seeds import faults, fit_faults, known, seen_by, tables
 from scripts.studies.slip import recordings
 
 ROOT = Path(__file__).resolve().parents[3]
-SEEN = seen_seeds.known()
-TABLES = seen_seeds.tables()
+SEEN = known()
+TABLES = tables()
 FACTS = tomllib.loads((PACKAGE / "data" / "likeness.toml").read_text())["fact"]
 
 

@@ -42,21 +42,6 @@ def test_order_of_networks(tmp_path: Path) -> None:
     assert found.values == pytest.approx((11 / 12,)) and found.n == 7
 
 
-def test_differences_and_ratios(tmp_path: Path) -> None:
-    """Assert that differences, ratios and correlations are those of the rows that they name."""
-    both = [network("events-only", 0.6, 0.5), network("disp-only", 0.2, 0.7)]
-    found = told(tmp_path, "events-against-displacement", paper_recipe=both)
-    assert found.values == pytest.approx((0.4, -0.2))
-    grip = [{"object": number, "setting": "paper", "force_end_n": float(20 - number)} for number in range(10, 19)]
-    force = told(tmp_path, "force-follows-mass", grasps_by_object=grip)
-    masses = [72, 108, 38, 116, 166, 56, 74, 248, 550]  # grip falls by object number
-    falling = sum(masses[a] > masses[b] for a in range(9) for b in range(a))
-    assert falling > 18 and force.values[0] is not None and force.values[0] < 0
-    still = [{"preset": "official", "scene": scene, "gel": "cut", "error_px_rms": 3.0, "still_px_rms": 2.0}
-             for scene in ("slip", "edge")]  # fmt: skip
-    assert told(tmp_path, "official-2024", tracking_distance=still).values == (1.5, 1.5)
-
-
 def test_every_table_that_a_fact_names_is_there() -> None:
     """Assert that docs/results has the tables, and that most facts find their figures in them."""
     named = [fact for fact in facts() if fact.table]

@@ -1,4 +1,4 @@
-"""Which parts there are, that each is one of scene or sensor that evetac has_figure, and what is made of trials."""
+"""Which parts there are, that each is one of scene or sensor that evetac knows, and what is made of trials."""
 
 from functools import lru_cache
 from pathlib import Path
