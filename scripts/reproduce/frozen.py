@@ -120,10 +120,11 @@ def followed(files: Iterable[str], renames: Iterable[str]) -> dict[str, str]:
 
 
 def moves(freeze: Freeze) -> dict[str, str]:
-    """Return the moves of frozen files since the freeze: those of git's history, then those in its index."""
+    """Return the moves of frozen files that still exist: those of git's history, then those in its index."""
     renamed = ("--diff-filter=R", "--find-renames", "--name-status")
     past = git("log", "--reverse", "--format=", *renamed, f"{freeze.commit}..HEAD").decode()
-    return followed(freeze.files, (past + git("diff", "--cached", *renamed).decode()).splitlines())
+    moved = followed(freeze.files, (past + git("diff", "--cached", *renamed).decode()).splitlines())
+    return {first: now for first, now in moved.items() if (ROOT / now).exists()}
 
 
 def frozen_at(commit: str) -> Freeze:

@@ -35,6 +35,7 @@ def test_the_stored_freeze() -> None:
     assert all(frozen.is_frozen(path) for path in freeze.files)
     assert not frozen.is_frozen("evetac_cli/data/page.css") and not frozen.is_frozen("evetac_cli/errors.py")
     assert freeze.moved.keys() <= freeze.files.keys()
+    assert all((frozen.ROOT / path).exists() for path in freeze.moved.values()), "run frozen.py --moves"
 
 
 def test_what_has_changed_since_the_freeze(tmp_path: Path) -> None:
