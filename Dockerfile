@@ -11,7 +11,7 @@ RUN pip install --no-cache-dir --constraint /opt/evetac/constraints.txt '/opt/ev
 
 # Compiled kernels are stored next to their source and, like it, belong to root, so that no user can change code that
 # others run. `docker run --user` accepts any number; each user gets a copy of the kernels (evetac_cli/kernels/kernel_cache.py).
-RUN evetac doctor --compile
+RUN evetac doctor compile
 RUN useradd --create-home evetac && mkdir --mode=1777 /data
 USER evetac
 

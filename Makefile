@@ -62,7 +62,7 @@ $(READY): pyproject.toml constraints.txt
 	@touch $@
 
 # What needs all extras compiles in its recipe, since nothing may be installed meanwhile.
-COMPILE = test $(KERNELS) -nt $(READY) || { $(BIN)/evetac doctor --compile && touch $(KERNELS); }
+COMPILE = test $(KERNELS) -nt $(READY) || { $(BIN)/evetac doctor compile && touch $(KERNELS); }
 
 $(KERNELS): $(READY)
 	@$(COMPILE)

@@ -14,6 +14,7 @@ from typing import Any
 from evetac_cli.errors import error_dict
 from evetac_cli.jobs import Outcome, Progress, silent
 
+MOST_ROWS = 100  # printed of one table on a terminal
 FEW_ROWS = 3  # up to this many rows, a table that is too wide is transposed
 BAR_WIDTH = 14  # leaves space for a name on a line of 80 characters
 MOST_PASTED = 3  # files that are listed individually at the end
@@ -110,6 +111,17 @@ def show(
         _print_json({"command": command, "simulated": simulated, "rows": rows, "summary": summary})
         return
     print_table(command, rows, summary, simulated=simulated, verbose=verbose)
+
+
+def first_rows(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the first MOST_ROWS rows of each table, for a terminal, and print how many more there are."""
+    shown = []
+    for _, group in itertools.groupby(rows, key=tuple):
+        table = list(group)
+        shown += table[:MOST_ROWS]
+        if len(table) > MOST_ROWS:
+            say(f"{len(table) - MOST_ROWS:,} more rows with {next(iter(table[0]))}; -v and --json print all")
+    return shown
 
 
 def show_failure(command: str, errors: Sequence[BaseException], outcomes: Sequence[Outcome]) -> None:

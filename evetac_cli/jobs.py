@@ -5,9 +5,9 @@ import platform
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
 
-from evetac_cli.errors import InputError
+from evetac_cli.errors import EvetacError, InputError
 
 MOST_NAME_BYTES = 255  # longest file name on nearly every file system
 APPENDED_BYTES = 48  # added to a name while the file is written (store/hdf5/disk.py), plus the name of this machine
@@ -54,6 +54,23 @@ class Outcome:
 
 Row = dict[str, Any]
 Rows = list[Row]
+
+
+class Looking(NamedTuple):
+    """A call of a command that prints a result: its module has `look(Looking) -> Outcome` and `show(Outcome, verbose)`.
+
+    paths: as typed; files: returns them with each folder replaced by its stage files; errors: takes those of single
+    files, which hide no other.
+    """
+
+    paths: list[Path]
+    files: Callable[[], list[Path]]
+    params: Any
+    out: Path | None
+    quiet: bool
+    verbose: bool
+    progress: Progress
+    errors: list[EvetacError]
 
 
 @dataclass(frozen=True)

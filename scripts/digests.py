@@ -73,7 +73,7 @@ def cases() -> Iterator[tuple[str, Commands]]:
             "record --scene shear --seed 2 --out a.recording.h5",
             "record --scene shear --seed 3 --out b.recording.h5",
             "track a.recording.h5 b.recording.h5 --preset stable",
-            "track-rgb a.recording.h5 b.recording.h5 --out rgb",
+            "track a.recording.h5 b.recording.h5 --rgb --out rgb",
             "train-force a.tracks.h5 b.tracks.h5 --epochs 20 --out m.force-model.h5",
         ],
     )

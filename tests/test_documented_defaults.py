@@ -15,14 +15,7 @@ import pytest
 
 from evetac_cli import resources
 from evetac_cli.cli import flags
-from evetac_cli.commands import (
-    DOCTOR,
-    EXPORT,
-    PIPELINE,
-    REPORT,
-    SHARE,
-    VIEW,
-)
+from evetac_cli.commands import EVERY as BY_WORDS
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.evaluate.subjects import SUBJECTS
@@ -42,8 +35,7 @@ from evetac_cli.trials.grasp import real_time
 from evetac_cli.trials.record import capture_plan
 
 ROOT = Path(__file__).parents[1]
-COMMANDS = {command.name: command for command in (*PIPELINE, VIEW, EXPORT, DOCTOR, SHARE, REPORT)}
-COMMANDS |= {f"evaluate {command.name}": command for command in SUBJECTS}
+COMMANDS = BY_WORDS | {f"evaluate {command.name}": command for command in SUBJECTS}
 
 
 def _shipped() -> str:
@@ -150,8 +142,8 @@ def test_every_entry_is_of_a_parameter() -> None:
 
 def test_flags_of_running_say_no_number() -> None:
     """Assert that help of how to run names no value by hand: it is printed from the table."""
-    for table in (flags.OF_STAGES, flags.OF_VIEW, flags.OF_EXPORT, flags.OF_SHARE, flags.OF_DOCTOR):
-        for _, default, _, help_ in table.values():
+    for command in COMMANDS.values():
+        for _, default, _, help_ in flags.running(command).values():
             assert not re.search(r"\d", documented_default(help_)), help_
             assert default is None or not documented_default(help_), help_
 

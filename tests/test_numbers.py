@@ -11,13 +11,7 @@ from typer.testing import CliRunner
 
 from evetac_cli.cli.config import MOST, resolve, with_config
 from evetac_cli.cli.main import app
-from evetac_cli.commands import (
-    EXPORT,
-    PIPELINE,
-    SHARE,
-    VIEW,
-    Command,
-)
+from evetac_cli.commands import EVERY, PIPELINE, Command
 from evetac_cli.commands.parameter import flag_of
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.evaluate.subjects import SUBJECTS
@@ -30,7 +24,7 @@ from evetac_cli.text_files import as_toml, parse_json, read_toml
 from tests import small_files
 from tests.quick import few
 
-ALL = (*PIPELINE, *SUBJECTS, VIEW, EXPORT, SHARE)
+ALL = (*EVERY.values(), *SUBJECTS)
 NUMBERS = [
     pytest.param(command, item.name, id=f"{command.name} {flag_of(item)}")
     for command in ALL

@@ -9,7 +9,7 @@ import pytest
 
 from evetac_cli.cli.config import resolve, with_config
 from evetac_cli.commands import PIPELINE
-from evetac_cli.commands.doctor import Doctor
+from evetac_cli.commands.doctor import DoctorHardware
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.parameter import flag_of, recipe_of
 from evetac_cli.commands.record import Record
@@ -132,7 +132,7 @@ def flag_of_name(command: str, name: str) -> str:
 def test_who_asks_for_consent() -> None:
     """Assert that the flags that let a gripper move, or leave out a question, are those marked as consent."""
     assert CONSENTS == [("record", "arm"), ("grasp", "arm")]
-    assert [item.name for item in dataclasses.fields(Doctor) if item.metadata["consent"]] == ["arm", "yes"]
+    assert [item.name for item in dataclasses.fields(DoctorHardware) if item.metadata["consent"]] == ["arm", "yes"]
     for command, name in CONSENTS:
         assert name not in recipe_of(EVERY[command]())
 

@@ -19,7 +19,7 @@ from evetac_cli.errors import InputError, UnavailableError, cannot_read
 from evetac_cli.formats import imports
 from evetac_cli.formats.imports import read_events
 from evetac_cli.formats.streams import read_stream
-from evetac_cli.inspect import repair, validate
+from evetac_cli.inspect import validate
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5 import checked_hdf5
 from evetac_cli.store.recordings import segments
@@ -230,10 +230,10 @@ def test_repair_waits_for_segments_that_cannot_be_read_now(
         return opened(path, *more, **options)
 
     monkeypatch.setattr(h5py, "File", refuse)
-    (row,) = repair.run([folder]).rows
+    (row,) = validate.repair([folder]).rows
     assert row["status"] == "not repaired" and "Permission denied" in row["fault"]
     with pytest.raises(InputError, match="interrupted recording"):
         segments.RecordingWriter(folder.with_name("a.recording.h5"), STATIC)
     assert sorted(path.name for path in folder.iterdir()) == sorted({*before, "lock"})
     monkeypatch.undo()
-    assert repair.run([folder]).rows[0]["status"] == "repaired"
+    assert validate.repair([folder]).rows[0]["status"] == "repaired"

@@ -1,7 +1,7 @@
 """Report that numba is compiling, in a command that has to wait for it.
 
 Compiled code is kept (kernel_cache.py), so only the first command after an installation or an update waits.
-`evetac doctor --compile`, which `make setup` runs, compiles the code of all commands.
+`evetac doctor compile`, which `make setup` runs, compiles the code of all commands.
 """
 
 import gc

@@ -4,7 +4,6 @@ jobs.Stage documents what a stage may define in addition to `jobs` and `run`.
 """
 
 import importlib
-import itertools
 import re
 import shlex
 import time
@@ -21,8 +20,6 @@ from evetac_cli.commands.parameter import Command
 from evetac_cli.errors import MADE_BY, EvetacError, InputError, made_by
 from evetac_cli.interrupts import interrupt_received
 from evetac_cli.jobs import Job, Outcome, Stage, require_possible_name
-
-MOST_ROWS = 100  # printed of one table on a terminal
 
 
 def execute(command: Command, title: str, flag_values: dict[str, Any]) -> None:
@@ -69,7 +66,7 @@ def execute(command: Command, title: str, flag_values: dict[str, Any]) -> None:
                         console.say("-v and --json print all columns")
                     details = stage.details | many
                     short = [{name: row[name] for name in row if name not in details} for row in shown_rows]
-                    shown_rows = first_rows(short)
+                    shown_rows = console.first_rows(short)
                 console.print_table(title, shown_rows, own, simulated=simulated, verbose=verbose)
                 if not own:
                     console.print_text(console.counted(outcomes))
@@ -169,17 +166,6 @@ def _check_outputs(jobs: list[Job], files: list[Path], params: Any, *, force: bo
     lost = sorted(output for output in times if output.resolve() in inputs) if force else []
     if lost:
         raise InputError("the output would replace an input", found=", ".join(map(str, lost)))
-
-
-def first_rows(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the first MOST_ROWS rows of each table, for a terminal, and print how many more there are."""
-    shown = []
-    for _, group in itertools.groupby(rows, key=tuple):
-        table = list(group)
-        shown += table[:MOST_ROWS]
-        if len(table) > MOST_ROWS:
-            console.say(f"{len(table) - MOST_ROWS:,} more rows with {next(iter(table[0]))}; -v and --json print all")
-    return shown
 
 
 def run_jobs(

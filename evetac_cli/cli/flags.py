@@ -9,6 +9,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable
+from copy import copy
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
@@ -18,7 +19,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from evetac_cli import console
-from evetac_cli.commands.parameter import RUNNING, Command, flag_of
+from evetac_cli.commands.parameter import EXPERTS, PAGE, RUNNING, STAGE, Command, flag_of
 from evetac_cli.errors import InputError
 
 LOCAL = "local"  # jobs run on this computer (workers.py), and not on a Dask cluster (dask_engine.py)
@@ -28,7 +29,7 @@ DECIMAL = re.compile("-?(0|[1-9][0-9]{0,17})([.][0-9]{1,17})?")
 # How to run; the same for every command that writes files. None of these flags changes the numbers. For each flag: its
 # type, default, names and help.
 OF_STAGES: dict[str, tuple[Any, Any, str, str]] = {
-    "out": (Path | None, None, "-o/--out", "Output file (NAME.h5) or folder; default: next to the input."),
+    "out": (Path | None, None, "-o/--out", "Output file or folder; else next to the input."),
     "force": (bool, False, "-f/--force", "Replace an output made with another recipe."),
     "number_of_jobs": (int, 1, "-j/--jobs", "Files processed at the same time."),
     "engine": (
@@ -50,34 +51,17 @@ OF_STAGES: dict[str, tuple[Any, Any, str, str]] = {
 }
 
 
-def _of_others(out: str, force: str) -> dict[str, tuple[Any, Any, str, str]]:
-    """Return how to run a command whose parameters are part of no recipe: several jobs and a config file are no use."""
-    more = {"out": (Path | None, None, "-o/--out", out), "force": (bool, False, "-f/--force", force)}
-    return {
-        name: entry for name, entry in OF_STAGES.items() if name not in ("number_of_jobs", "engine", "config")
-    } | more
+def running(command: Command) -> dict[str, tuple[Any, Any, str, str]]:
+    """Return how to run a command: its flags of OF_STAGES, with the help of its own -o and -f.
 
-
-OF_VIEW = _of_others("Output file or folder; default: next to the input.", "Replace an existing page.")
-OF_REPORT = _of_others(
-    "Output file or folder; default: report.html in the folder, or A-B.report.html in the current one.",
-    "Replace an existing page.",
-)
-OF_EXPORT = _of_others("Output file or folder; default: next to the recording.", "Replace an existing file.")
-OF_SHARE = _of_others(
-    "Output folder; default: NAME-hub next to the input.", "Replace an existing folder made by share."
-)
-OF_LOOKING = {
-    name: OF_STAGES[name] for name in ("as_json", "legend", "quiet", "verbose")
-}  # of commands that write no files
-OF_DOCTOR = OF_LOOKING | {
-    "out": (
-        Path | None,
-        None,
-        "-o/--out",
-        "With --hardware: report file; default: evetac-hardware-DATE.json in the current folder.",
-    ),
-}
+    Several jobs and a config file are only for parameters that are part of a recipe.
+    """
+    if command.does == STAGE:
+        return OF_STAGES
+    names = ("out", "force") if command.does == PAGE else ("out",) if command.out else ()
+    chosen = {name: OF_STAGES[name] for name in (*names, "as_json", "legend", "quiet", "verbose")}
+    own = {"out": command.out, "force": command.force}
+    return {name: (*entry[:3], own.get(name, entry[3])) for name, entry in chosen.items()}
 
 
 def scheduler_of(engine: str) -> str:
@@ -106,6 +90,9 @@ class Running:
     def take(cls, flag_values: dict[str, Any], names: Iterable[str]) -> "Running":
         """Remove these flags from `flag_values` and return them as a Running."""
         return cls(**{name: flag_values.pop(name) for name in names})
+
+
+HELP_ALL = "evetac.help_all"  # key of a context's meta data
 
 
 class PlainFlags:
@@ -165,14 +152,14 @@ class Group(PlainFlags, TyperGroup):
 
 
 class CommandOfFlags(PlainFlags, TyperCommand):
-    """A command that refuses a repeated flag, explains its columns, and whose help omits the `--no-` of switches."""
+    """A command that refuses a repeated flag, explains its columns, and hides `--no-` forms and EXPERTS in help."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Read the flags. A repeated flag is an error; otherwise all but its last value would be lost silently."""
         values, _, order = self.make_parser(ctx).parse_args(list(args))
         if values.get("legend") and not ctx.resilient_parsing:
-            title = f"evaluate {self.name}" if ctx.parent and ctx.parent.info_name == "evaluate" else str(self.name)
-            print_legend(title, as_json=bool(values.get("as_json")))
+            group = f"{ctx.parent.info_name} " if ctx.parent and ctx.parent.parent else ""
+            print_legend(f"{group}{self.name}", as_json=bool(values.get("as_json")))
             ctx.exit()
         times = Counter(flag.opts[-1] for flag in order if not getattr(flag, "is_flag", True) and not flag.multiple)
         twice = next((name for name, count in times.items() if count > 1), None)
@@ -183,14 +170,14 @@ class CommandOfFlags(PlainFlags, TyperCommand):
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write the usual help without the `--no-` forms, which are useful only together with a config file."""
-        switches = [(flag, flag.secondary_opts) for flag in self.params if flag.secondary_opts]
-        for flag, _ in switches:
+        whole = self.params
+        self.params = [copy(flag) for flag in whole if ctx.meta.get(HELP_ALL) or not is_for_experts(flag)]
+        for flag in self.params:
             flag.secondary_opts = []
         try:
             super().format_help(ctx, formatter)
         finally:
-            for flag, names in switches:
-                flag.secondary_opts = names
+            self.params = whole
 
 
 def print_legend(title: str, *, as_json: bool) -> None:
@@ -204,8 +191,27 @@ def print_legend(title: str, *, as_json: bool) -> None:
     console.show(f"{title} --legend", rows, {}, simulated=False, as_json=as_json)
 
 
-def signature(command: Command, running: dict[str, tuple[Any, Any, str, str]]) -> inspect.Signature:
-    """Return the parameters of a command for typer: files, flags without a panel, how to run, flags in panels.
+def is_for_experts(flag: Any) -> bool:
+    """Whether only --help-all shows a flag."""
+    return getattr(flag, "rich_help_panel", None) == EXPERTS
+
+
+def _print_all_help(ctx: typer.Context, wanted: bool) -> None:
+    if wanted:
+        ctx.meta[HELP_ALL] = True
+        print(ctx.get_help())
+        raise typer.Exit
+
+
+ALL_HELP = typer.Option(
+    "--help-all", callback=_print_all_help, is_eager=True, rich_help_panel=RUNNING,
+    help="Also show the flags for precision and experts.",
+)  # fmt: skip
+
+
+def signature(command: Command) -> inspect.Signature:
+    """Return the parameters of a command for typer: files, flags without a panel, how to run, flags in panels,
+    those for experts last.
 
     Every flag defaults to None, so that flags that were not given can be taken from a config file. Positional
     parameters come before the files, which take all remaining arguments.
@@ -215,39 +221,37 @@ def signature(command: Command, running: dict[str, tuple[Any, Any, str, str]]) -
     places: list[inspect.Parameter] = []
     first: list[inspect.Parameter] = []
     in_panels: list[inspect.Parameter] = []
+    experts: list[inspect.Parameter] = []
     for item in fields(command.params):
         flag, kind, panel = flag_of(item), hints[item.name], item.metadata["panel"]
         option: Any  # typer's own types of arguments and options
         if not flag.startswith("--"):
             option = typer.Argument(metavar=flag, help=_help(item), show_default=False)
         elif kind is bool:
-            names = flag if item.metadata["consent"] else f"{flag}/--no-{flag[2:]}"  # no config file can set consent
+            is_in_files = command.does == STAGE and not item.metadata["consent"]  # no config file can set consent
+            names = f"{flag}/--no-{flag[2:]}" if is_in_files else flag
             option = typer.Option(names, help=_help(item), rich_help_panel=panel or None)
         else:
             option = typer.Option(flag, help=_help(item), rich_help_panel=panel or None)
         entry = inspect.Parameter(item.name, keyword, default=None, annotation=Annotated[kind | None, option])
-        (places if not flag.startswith("--") else in_panels if panel else first).append(entry)
-    how = []
-    for name, (kind, default, names, help_) in running.items():
-        option = typer.Option(
-            *names.split("/"),
-            help=help_,
-            rich_help_panel=RUNNING,
-            show_default=default in (1, LOCAL),
-        )
-        how.append(inspect.Parameter(name, keyword, default=default, annotation=Annotated[kind, option]))
+        others = experts if panel == EXPERTS else in_panels if panel else first
+        (others if flag.startswith("--") else places).append(entry)
+    how: list[inspect.Parameter] = []
+    for name, (kind, default, names, help_) in running(command).items():
+        panel = EXPERTS if name == "engine" else RUNNING
+        shown = default in (1, LOCAL)
+        option = typer.Option(*names.split("/"), help=help_, rich_help_panel=panel, show_default=shown)
+        entry = inspect.Parameter(name, keyword, default=default, annotation=Annotated[kind, option])
+        (experts if panel == EXPERTS else how).append(entry)
+    if experts:
+        how.append(inspect.Parameter("help_all", keyword, default=False, annotation=Annotated[bool, ALL_HELP]))
     if command.files:
         help_ = command.files + (f" For a folder, all {command.kind} files in it are used." if command.kind else "")
         files = Annotated[list[Path], typer.Argument(metavar="FILES", help=help_, show_default=False)]
         needed: Any = inspect.Parameter.empty if command.files_needed else []
         places.append(inspect.Parameter("files", keyword, default=needed, annotation=files))
-    return inspect.Signature([*places, *first, *how, *in_panels])
-
-
-def looking(name: str) -> Any:
-    """Return one entry of OF_STAGES as an option for typer, to be used in the signature of a function."""
-    _, _, names, help_ = OF_STAGES[name]
-    return typer.Option(*names.split("/"), help=help_)
+    context = inspect.Parameter("ctx", keyword, annotation=typer.Context)
+    return inspect.Signature([context, *places, *first, *how, *in_panels, *experts])
 
 
 def _help(item: Any) -> str:

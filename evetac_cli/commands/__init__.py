@@ -7,7 +7,7 @@ here, and a stage is imported only when its command is chosen. The module of a c
 
 import importlib
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 from evetac_cli.commands.parameter import Command
@@ -22,29 +22,44 @@ OF_PIPELINE = (
     "track",
     "featurize",
     "train",
-    "track-rgb",
     "train-force",
     "predict-touch",
     "grasp",
 )
+# The commands under each heading of `evetac --help`; `evaluate` and `doctor` are groups with commands of their own.
+PANELS = {
+    "Pipeline": (*OF_PIPELINE, "evaluate"),
+    "Inspect": ("info", "list", "view", "report", "export", "share", "validate", "doctor"),
+}
+GROUPS = ("evaluate", "doctor")
+MODULES = {"list": "listing"}  # of commands whose name a module cannot have
+# What a user who types a former command, or a former flag of one, is told to type.
+FORMER = {
+    "index": "info",
+    "repair": "validate --repair",
+    "track-rgb": "track --rgb",
+    **{f"doctor --{part}": f"doctor {part}" for part in ("compile", "speed", "hardware")},
+    "doctor --print-udev": "doctor udev",
+}
 # Built on first access.
 PIPELINE: tuple[Command, ...]
-# Commands whose output is for people; built at each access.
-VIEW: Command
-EXPORT: Command
-DOCTOR: Command
-SHARE: Command
-REPORT: Command
+EVERY: dict[str, Command]  # by the words that call each; the subjects of evaluate are in evaluate/subjects.py
 
 
 def find(name: str) -> Command:
-    """Return the command that `evetac NAME` runs; `evaluate` is a group and not among them."""
+    """Return the command that `evetac NAME` runs; `evaluate` alone runs none."""
     found: Command = _module(name).COMMAND
     return found
 
 
+def parts(group: str) -> tuple[Command, ...]:
+    """Return the commands of a group, such as those of `evetac doctor NAME`; not of evaluate."""
+    found: tuple[Command, ...] = _module(group).COMMANDS
+    return found
+
+
 def _module(name: str) -> Any:
-    return importlib.import_module(f"{__name__}.{name.replace('-', '_')}")
+    return importlib.import_module(f"{__name__}.{MODULES.get(name, name.replace('-', '_'))}")
 
 
 @cache
@@ -52,9 +67,15 @@ def _pipeline() -> tuple[Command, ...]:
     return tuple(map(find, OF_PIPELINE))
 
 
+@cache
+def _every() -> dict[str, Command]:
+    alone = (name for names in PANELS.values() for name in names if name != "evaluate")
+    return {name: find(name) for name in alone} | {f"doctor {part.name}": part for part in parts("doctor")}
+
+
 _MADE: dict[str, Callable[[], Any]] = {
     "PIPELINE": _pipeline,
-    **{name.upper(): partial(find, name) for name in ("view", "export", "doctor", "share", "report")},
+    "EVERY": _every,
 }
 
 

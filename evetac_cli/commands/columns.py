@@ -52,8 +52,8 @@ def columns_of(command: str) -> dict[str, Column]:
     """Return the columns of a command, such as `label`, `evaluate slip` or `record --dry-run`, by name."""
     group, _, name = command.partition(" --")[0].rpartition(" ")
     every = tomllib.loads(COMMANDS.read_text(encoding="utf-8"))
-    own: dict[str, Any] = every.get(name, {})
-    if group:
+    own: dict[str, Any] = every.get(group or name, {})
+    if group == "evaluate":
         path = SUBJECTS / name.replace("-", "_") / "columns.toml"
         own = tomllib.loads(path.read_text(encoding="utf-8"))
     shared = {name: every["common"][name] for name in own.pop("common", ())}

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from evetac_cli import names, plugins
-from evetac_cli.commands.parameter import Command, parameter
+from evetac_cli.commands.parameter import PAGE, Command, parameter
 
 IMAGES, LEROBOT = "Images of events", "LeRobot"  # panels of --help for options of these formats only
 
@@ -122,4 +122,7 @@ COMMAND = Command(
         "evetac export data --format frames --fps 200 --size 160x120 -o images",
         "evetac export grasps --format lerobot --fps 50 --event-frames 16@200 -o touch",
     ),
+    does=PAGE,
+    out="Output file or folder; default: next to the recording.",
+    force="Replace an existing file.",
 )

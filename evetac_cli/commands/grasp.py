@@ -16,7 +16,7 @@ WITH_DEVICES, DETECTED = (Capability.GRASPED,), (Capability.DETECTOR,)
 class Grasp(Devices, Trials):
     """Lift an object with slip detection at 1000 Hz and gripper control at 500 Hz."""
 
-    scene: str = parameter("lift", f"Scene: {', '.join(names.GRASPED_SCENES)}, or a TOML file.")
+    scene: str = parameter("lift", "Scene (`evetac list scenes`) or TOML file.")
     objects: str = parameter(
         "11",
         "Objects of the paper's table, 1 to 20, e.g. `11` or `10-18`; or a TOML file.",

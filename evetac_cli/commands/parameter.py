@@ -12,21 +12,31 @@ from typing import Any
 from evetac_cli.errors import InputError
 
 RUNNING = "Running"  # the panel of --help with flags that do not change the numbers
+EXPERTS = "Precision and experts"  # the panel that only --help-all shows
+STAGE, PAGE, LOOK = "stage", "page", "look"
 
 
 @dataclass(frozen=True)
 class Command:
-    """A command that writes files: its parameters, its module, its input files, and the unit of its progress bar."""
+    """A command: its parameters, its module, its input files, and the unit of its progress bar.
+
+    does: STAGE writes stage files, PAGE files for people and other programs, LOOK prints a result. out, force: help of
+    -o and -f where that of stages does not fit; a LOOK has -o if `out` is given.
+    """
 
     name: str
     params: type
     module: str
     files: str  # help text of the file arguments; empty if the command takes none
-    kind: str = "recording"  # kind of the files taken from a folder; empty: the command handles folders itself
+    kind: str = "recording"  # kind of the files taken from a folder, * for all; empty: it handles folders itself
     suffix: str = ".h5"  # of an output file named by -o
-    unit: str = "slices"
+    unit: str = "slices"  # empty: no progress bar
     files_needed: bool = True
     examples: tuple[str, ...] = ()  # command lines shown by --help
+    does: str = STAGE
+    out: str = ""
+    force: str = ""
+    panel: str = ""  # heading under which the help of its group lists it
 
 
 def parameter(

@@ -4,11 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from evetac_cli import names
-from evetac_cli.commands.parameter import Command, parameter
+from evetac_cli.commands.parameter import EXPERTS, Command, parameter
 from evetac_cli.commands.trials import DEVICES, SCENE, SERIES, SIMULATED, VIEW, Devices, Trials
 from evetac_cli.names import Capability
 
-IMPORT = "Import"  # panel of --help
 IMPORTED, RECORDED, MOVED, ADJUSTABLE = (
     (capability,) for capability in (Capability.IMPORT, Capability.RECORDED, Capability.MOVED, Capability.ADJUSTABLE)
 )
@@ -24,7 +23,7 @@ class Record(Devices, Trials):
 
     scene: str = parameter(
         "slip",
-        f"Scene: {', '.join(names.RECORDED_SCENES)}, or a TOML file.",
+        "Scene (`evetac list scenes`) or TOML file.",
         needs=SIMULATED,
     )
     objects: str = parameter(
@@ -43,7 +42,7 @@ class Record(Devices, Trials):
     )
     source: Path | None = parameter(
         None,
-        f"Import an event file instead: {', '.join(names.IMPORTS.values())}, or a plug-in's format.",
+        f"Import an event file instead: {', '.join(form.partition(' (')[0] for form in names.IMPORTS.values())}.",
         flag="--from",
         recipe=False,
     )
@@ -52,19 +51,19 @@ class Record(Devices, Trials):
         "Frame size of an imported file that does not state it, e.g. 640x480; default: that of the smallest known"
         " sensor that covers all events.",
         unit="px",
-        panel=IMPORT,
+        panel=EXPERTS,
         needs=IMPORTED,
     )
     sort: bool = parameter(
         False,
         "Sort imported events by time. Without this flag, a file whose time steps back by 1 ms or more is refused.",
-        panel=IMPORT,
+        panel=EXPERTS,
         needs=IMPORTED,
     )
     drop_late: bool = parameter(
         False,
         "Drop imported events that are 1 ms or more older than an event before them, instead of refusing the file.",
-        panel=IMPORT,
+        panel=EXPERTS,
         needs=IMPORTED,
     )
     from_restart: int | None = parameter(
@@ -73,19 +72,19 @@ class Record(Devices, Trials):
         " before the first restart.",
         low=0,
         high=1000,
-        panel=IMPORT,
+        panel=EXPERTS,
         needs=IMPORTED,
     )
     stream: str | None = parameter(
         None,
         "Event stream, topic, camera or array to import, if the file has several.",
-        panel=IMPORT,
+        panel=EXPERTS,
         needs=IMPORTED,
     )
     columns: str | None = parameter(
         None,
         "Order of the four columns of an imported file without column names, e.g. `x y t p`.",
-        panel=IMPORT,
+        panel=EXPERTS,
         needs=IMPORTED,
     )
     time_unit: str | None = parameter(
@@ -93,19 +92,18 @@ class Record(Devices, Trials):
         "Unit of time in an imported text, numpy or HDF5 file that does not state it; default: us if all times are"
         " whole numbers, s otherwise.",
         choices=("s", "ms", "us", "ns"),
-        panel=IMPORT,
+        panel=EXPERTS,
         needs=IMPORTED,
     )
     frames: bool = parameter(
         False,
         "Keep also the image frames of an imported AEDAT4 file or ROS bag. IMU samples and triggers are always kept.",
-        panel=IMPORT,
+        panel=EXPERTS,
         needs=IMPORTED,
     )
     seconds: float | None = parameter(
         None,
-        "Duration of the recording or the --preview. With --listen: longest duration of a trial, one hour if not given."
-        " Default: until the gripper has let go, or Ctrl-C.",
+        "Duration; with --listen, the longest of a trial. Default: until the gripper has let go, or Ctrl-C.",
         unit="s",
         low=0.001,
         high=86400.0,
@@ -120,7 +118,7 @@ class Record(Devices, Trials):
         low=1,
         high=500,
         recipe=False,
-        panel=DEVICES,
+        panel=EXPERTS,
         needs=MOVED,
     )
     holding_ma: float | None = parameter(
@@ -130,7 +128,7 @@ class Record(Devices, Trials):
         low=0.0,
         high=1000.0,
         recipe=False,
-        panel=DEVICES,
+        panel=EXPERTS,
         needs=MOVED,
     )
     hold_s: float = parameter(
@@ -140,7 +138,7 @@ class Record(Devices, Trials):
         low=0.0,
         high=3600.0,
         recipe=False,
-        panel=DEVICES,
+        panel=EXPERTS,
         needs=MOVED,
     )
     lowest_ma: float = parameter(
@@ -150,7 +148,7 @@ class Record(Devices, Trials):
         low=-500.0,
         high=1000.0,
         recipe=False,
-        panel=DEVICES,
+        panel=EXPERTS,
         needs=MOVED,
     )
     current_of: str | None = parameter(
@@ -158,7 +156,7 @@ class Record(Devices, Trials):
         "Follow the current profile of this scene (grip-steps, or a TOML file) instead of closing, holding and lowering"
         " the current.",
         recipe=False,
-        panel=DEVICES,
+        panel=EXPERTS,
         needs=MOVED,
     )
     threshold_on: int | None = parameter(
@@ -167,7 +165,7 @@ class Record(Devices, Trials):
         low=0,
         high=17,
         recipe=False,
-        panel=DEVICES,
+        panel=EXPERTS,
         needs=ADJUSTABLE,
     )
     threshold_off: int | None = parameter(
@@ -176,7 +174,7 @@ class Record(Devices, Trials):
         low=0,
         high=17,
         recipe=False,
-        panel=DEVICES,
+        panel=EXPERTS,
         needs=ADJUSTABLE,
     )
     readout_rate: str | None = parameter(
@@ -184,7 +182,7 @@ class Record(Devices, Trials):
         "Readout mode of the sensor and its frames per second; default: variable-5000.",
         choices=READOUT_RATES,
         recipe=False,
-        panel=DEVICES,
+        panel=EXPERTS,
         needs=ADJUSTABLE,
     )
     expected_event_rate: float = parameter(
@@ -194,19 +192,19 @@ class Record(Devices, Trials):
         low=0.0,
         high=1e9,
         recipe=False,
-        panel=DEVICES,
+        panel=EXPERTS,
         needs=RECORDED,
     )
     resume: bool = parameter(
         False,
         "Continue a series that was interrupted; the setup must be the same.",
         recipe=False,
-        panel=DEVICES,
+        panel=EXPERTS,
         needs=RECORDED,
     )
     preview: bool = parameter(
         False,
-        "Show the camera's view in the browser. Nothing is written and nothing moves.",
+        "Only show the camera's view in the browser.",
         recipe=False,
         panel=VIEW,
         needs=SERIES,

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from evetac_cli.commands.parameter import Command, parameter
+from evetac_cli.commands.parameter import PAGE, Command, parameter
 
 
 @dataclass(frozen=True)
@@ -20,4 +20,7 @@ COMMAND = Command(
     kind="",
     unit="files",
     examples=("evetac report data", "evetac report before after --compare -o compared.html"),
+    does=PAGE,
+    out="Output file or folder; default: report.html in the folder, or A-B.report.html in the current one.",
+    force="Replace an existing page.",
 )

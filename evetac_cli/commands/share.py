@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from evetac_cli.commands.parameter import Command, parameter
+from evetac_cli.commands.parameter import PAGE, Command, parameter
 
 
 @dataclass(frozen=True)
@@ -39,4 +39,7 @@ COMMAND = Command(
         "evetac share own.model.h5 unseen.slip.report.h5 --license mit -o own-hub",
         'evetac share data --title "Slips of 20 objects" --author "Noether, Emmy" -o data-hub',
     ),
+    does=PAGE,
+    out="Output folder; default: NAME-hub next to the input.",
+    force="Replace an existing folder made by share.",
 )

@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli import names
-from evetac_cli.commands.parameter import RUNNING, parameter
+from evetac_cli.commands.parameter import EXPERTS, RUNNING, parameter
 from evetac_cli.names import Capability
 
-SCENE, SOLVER, VIEW, DEVICES = "Scene", "Precision of the simulation", "Live view", "Devices"  # panels of --help
+SCENE, VIEW, DEVICES = "Scene", "Live view", "Devices"  # panels of --help
 SIMULATED = (Capability.SCENE,)
 SERIES = (Capability.SCENE, Capability.DEVICE)
 SOLVER_OPTIONS = ("tolerance_um", "step_ms", "theta", "node_pitch_mm", "camera_substeps", "scans_per_ms")
@@ -38,8 +38,7 @@ class Devices:
     )
     calibration: Path | None = parameter(
         None,
-        "Dot grid (JSON) of the sensor, or A,B for two sensors. Required for a grasp with a real camera; stored in"
-        " recordings that are imported or made with a device.",
+        "Dot grid (JSON) of the sensor, or A,B for two. A grasp with a real camera needs it.",
         recipe=False,
         panel=DEVICES,
         needs=(Capability.IMPORT, Capability.RECORDED, Capability.PREVIEW, Capability.GRASPED),
@@ -52,7 +51,7 @@ class Devices:
         low=20,
         high=500,
         recipe=False,
-        panel=DEVICES,
+        panel=EXPERTS,
         needs=(Capability.MOVED, Capability.GRASPED),
     )
 
@@ -61,7 +60,7 @@ class Devices:
         "Let a robot's program start, mark and stop each trial, through the address in the file evetac.listen in the"
         " folder -o (docs/hardware.md).",
         recipe=False,
-        panel=DEVICES,
+        panel=EXPERTS,
         needs=(Capability.RECORDED, Capability.GRASPED),
     )
     listen_port: int = parameter(
@@ -70,7 +69,7 @@ class Devices:
         low=0,
         high=65535,
         recipe=False,
-        panel=DEVICES,
+        panel=EXPERTS,
         needs=(Capability.LISTENING,),
     )
 
@@ -89,8 +88,7 @@ class Trials:
     seed: int = parameter(0, "Seed of all random choices.", low=0, high=2**31 - 1, needs=SERIES)
     sensor: str = parameter(
         "evetac",
-        f"Sensor: {'; '.join(names.SENSORS)}: one per trial; randomized:N: the N-th; a TOML file"
-        " (`evetac identify`); A,B: two.",
+        "Sensor (`evetac list sensors`), or a TOML file (`evetac identify`); A,B: two.",
         needs=SIMULATED,
     )
     gel: str | None = parameter(
@@ -104,7 +102,7 @@ class Trials:
         None,
         "Whether the object's texture is visible through the window. Default: as in the scene.",
         choices=("on", "off"),
-        panel=SCENE,
+        panel=EXPERTS,
         needs=SIMULATED,
     )
     tolerance_um: float | None = parameter(
@@ -114,7 +112,7 @@ class Trials:
         low=0.001,
         high=1000.0,
         flag="--tolerance",
-        panel=SOLVER,
+        panel=EXPERTS,
         needs=SIMULATED,
     )
     step_ms: float | None = parameter(
@@ -123,7 +121,7 @@ class Trials:
         unit="ms",
         low=0.0001,
         high=1.0,
-        panel=SOLVER,
+        panel=EXPERTS,
         needs=SIMULATED,
     )
     theta: float | None = parameter(
@@ -132,7 +130,7 @@ class Trials:
         " 0.51.",
         low=0.5,
         high=1.0,
-        panel=SOLVER,
+        panel=EXPERTS,
         needs=SIMULATED,
     )
     node_pitch_mm: float | None = parameter(
@@ -142,7 +140,7 @@ class Trials:
         unit="mm",
         low=0.05,
         high=5.0,
-        panel=SOLVER,
+        panel=EXPERTS,
         needs=SIMULATED,
     )
     camera_substeps: int | None = parameter(
@@ -150,7 +148,7 @@ class Trials:
         "Straight segments of a dot's path in each ms; default: the scene's, or 1.",
         low=1,
         high=100,
-        panel=SOLVER,
+        panel=EXPERTS,
         needs=SIMULATED,
     )
     scans_per_ms: int | None = parameter(
@@ -159,13 +157,12 @@ class Trials:
         unit="1/ms",
         low=1,
         high=1000,
-        panel=SOLVER,
+        panel=EXPERTS,
         needs=SIMULATED,
     )
     live: bool = parameter(
         False,
-        "Show the trial while it is recorded, on a page in the browser with dots, slip, force and gripper; its address"
-        " is printed.",
+        "Show the trial while it runs, in the browser.",
         recipe=False,
         panel=VIEW,
         needs=(Capability.SCENE, Capability.RECORDED, Capability.PREVIEW, Capability.GRASPED),

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from evetac_cli.commands.parameter import Command, parameter
+from evetac_cli.commands.parameter import PAGE, Command, parameter
 
 
 @dataclass(frozen=True)
@@ -33,4 +33,7 @@ COMMAND = Command(
     kind="",
     unit="images",
     examples=("evetac view a.recording.h5", "evetac view a.recording.h5 --start-s 1 --stop-s 1.2"),
+    does=PAGE,
+    out="Output file or folder; default: next to the input.",
+    force="Replace an existing page.",
 )

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.arrays import Floats
-from evetac_cli.console import format_value, print_table, print_text
+from evetac_cli.console import first_rows, format_value, print_table, print_text
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.events import SLICES_PER_S
-from evetac_cli.jobs import Outcome
+from evetac_cli.inspect import index
+from evetac_cli.jobs import Looking, Outcome
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.slip.covariates import SlipCovariates, unknown_covariates
 from evetac_cli.pages.shared import KNOWN, inner, stiffness
@@ -35,14 +36,37 @@ MOST_PARENTS = 10  # lines; a model may have hundreds of parents
 OPTIONAL_GROUPS = ("gripper", "truth", "control", "capture", "marks", "streams")  # of a recording
 
 
-def run(files: list[Path]) -> Outcome:
-    """Return a row for every file, with its figures and its history."""
-    rows = [_describe(path) for path in files]
+def look(looking: Looking) -> Outcome:
+    """Describe files, or answer from the index of a folder; errors of single files hide no others."""
+    paths, conditions = looking.paths, looking.params.where or ()
+    if len(paths) == 1 and paths[0].is_dir():
+        return index.answer(paths[0], conditions, looking.progress)
+    if conditions:
+        found = ", ".join(map(str, paths))
+        raise InputError("searches the files of a folder", where="--where", expected="one folder", found=found)
+    return run(looking.files(), looking.errors)
+
+
+def run(files: list[Path], errors: list[EvetacError] | None = None) -> Outcome:
+    """Return a row for every file, with its figures and its history; with `errors`, those of files go there."""
+    rows = []
+    for path in files:
+        try:
+            rows.append(_describe(path))
+        except EvetacError as error:
+            if errors is None:
+                raise
+            errors.append(error)
     return Outcome(rows, any(row["simulated"] for row in rows), {"files": len(rows)})
 
 
-def show(result: Outcome) -> None:
-    """Print a block for each file: figures first, then its provenance."""
+def show(result: Outcome, *, verbose: bool = False) -> None:
+    """Print a block for each file: figures first, then its provenance. Of a folder, a table of its files or counts."""
+    if "folder" in result.summary:
+        rows = index.for_people(result.rows)
+        shown = rows if verbose else first_rows(rows)
+        print_table("info", shown, result.summary, simulated=result.simulated, verbose=verbose)
+        return
     for row in result.rows:
         figures = {name: value for name, value in row.items() if name not in HIDDEN}
         print_text(f"{row['file']}" + ("  (simulated)" if row["simulated"] else ""))

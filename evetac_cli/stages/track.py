@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.commands.track import Track
+from evetac_cli.commands.parameter import refuse_unused
+from evetac_cli.commands.track import EVENTS, RGB, Track
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.tracking import presets
@@ -23,11 +24,15 @@ if TYPE_CHECKING:
 
 OUTPUT = "tracks"
 METHOD = 6
-COLUMNS = ("dot_xy_px", "events_per_dot", "lost")  # one row per slice
 
 
 def jobs(files: list[Path], params: Track, out: Path | None) -> list[Job]:
-    """Return a job for every recording."""
+    """Return a job for every recording; with --rgb, InputError for an option that only the tracking of events has."""
+    refuse_unused(params, RGB if params.rgb else EVENTS, "--rgb" if params.rgb else "no --rgb")
+    if params.rgb:
+        from evetac_cli.stages import track_rgb
+
+        return track_rgb.jobs(files, params, out)
     return per_file(files, OUTPUT, out)
 
 
@@ -67,6 +72,10 @@ def _recipe(
 
 def run(job: Job, params: Track, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Track the dots of a recording through all slices."""
+    if params.rgb:
+        from evetac_cli.stages import track_rgb
+
+        return track_rgb.run(job, params, force=force, progress=progress)
     name, tracker_constants = _constants(params)
     with open_recording(job.inputs[0]) as recording:
         calibration = _calibration(recording, params.calibration)
@@ -98,8 +107,9 @@ def run(job: Job, params: Track, *, force: bool = False, progress: Progress = si
                 farthest_px = np.fmax(farthest_px, np.fmax.reduce(moved, axis=None, initial=np.nan))
                 yield block._asdict()
 
+        columns = tracker.Tracks._fields
         made = (
-            write_stage(job.output, recipe, arrays, tracked(), dict.fromkeys(COLUMNS, slices), force=force) is not None
+            write_stage(job.output, recipe, arrays, tracked(), dict.fromkeys(columns, slices), force=force) is not None
         )
     return outcome(
         job,

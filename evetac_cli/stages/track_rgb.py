@@ -1,4 +1,4 @@
-"""track-rgb: dot tracks of an RGB sensor at 25 Hz (paper, "Dot-based Shear Force Reconstruction").
+"""track --rgb: dot tracks of an RGB sensor at 25 Hz (paper, "Dot-based Shear Force Reconstruction").
 
 The gel of a simulated recording is rendered as frames from its true motion, and its dots are tracked by optical flow.
 The files are like tracks from events; between two frames the dots keep their position in the last frame.
@@ -14,19 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.commands.parameter import recipe_of
-from evetac_cli.commands.track_rgb import TrackRgb
-from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
+from evetac_cli.commands.track import Track
+from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.sim.camera.rgb_sensor import RgbCamera, frame, start_tracker, track
 from evetac_cli.sim.setup.object_file import seed_of
 from evetac_cli.stages import per_file, row_blocks
 from evetac_cli.stages.related_files import no_truth
-from evetac_cli.stages.track import COLUMNS
 from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.read import open_recording
 
 OUTPUT = "tracks"
+COLUMNS = ("dot_xy_px", "events_per_dot", "lost")  # one row per slice
 METHOD = 2
 PRESET = "rgb"
 FRAMES = 25  # frames whose ground truth is read together
@@ -34,7 +33,7 @@ NOISE_SEED = 32452843  # separates the noise of frames from the random numbers o
 SENSOR = ("sensor/frame_px", "sensor/name", "sensor/dot_xy_px", "sensor/dot_radius_px", "sensor/window_px")
 
 
-def jobs(files: list[Path], params: TrackRgb, out: Path | None) -> list[Job]:
+def jobs(files: list[Path], params: Track, out: Path | None) -> list[Job]:
     """Return a job for every recording."""
     if out is None:
         return [job for file in files for job in per_file([file], OUTPUT, file.parent / PRESET)]
@@ -61,11 +60,11 @@ def noise_seeds(seed: int, header: Header) -> list[int]:
     ]
 
 
-def run(job: Job, params: TrackRgb, *, force: bool = False, progress: Progress = silent) -> Outcome:
+def run(job: Job, params: Track, *, force: bool = False, progress: Progress = silent) -> Outcome:
     """Render the frames of a recording and track the dots in them."""
     camera = RgbCamera()
     with open_recording(job.inputs[0]) as recording:
-        parameters = {"preset": PRESET, "camera": dataclasses.asdict(camera), **recipe_of(params)}
+        parameters = {"preset": PRESET, "camera": dataclasses.asdict(camera), "seed": params.seed}
         recipe = Recipe(OUTPUT, METHOD, parameters, seed=params.seed, parents=(recording.header,))
         if not recording.has("truth"):
             raise no_truth(recording.path)
@@ -115,6 +114,3 @@ def run(job: Job, params: TrackRgb, *, force: bool = False, progress: Progress =
         max_displacement_px=farthest_px,
         dots_lost=int(state.lost.sum()) if slices else 0,
     )
-
-
-STAGE = Stage(jobs, run)

@@ -31,7 +31,7 @@ STOPPED = "stopped by the robot's program"
 ABORTED = "aborted by the robot's program"
 KEY_HINT = f"{KEY_NAME} opens the gripper for half a second, at 100 mA or less, then torque is off; Ctrl-C: torque off"
 PRIORITY = 10  # real-time priority of `record` while a gripper moves
-SPEED = "`evetac doctor --speed` reports what is too slow"
+SPEED = "`evetac doctor speed` reports what is too slow"
 OVERLOADED = f"is the computer overloaded? {SPEED}; a longer --watchdog-ms gives it more time"
 # share of the watchdog's time: detecting a hang, switching torque off and reading it back must fit into that time
 FRESH = 0.75
@@ -224,7 +224,7 @@ def lost_columns(datasets: Mapping[str, Any]) -> dict[str, Any]:
 def finish(writer: RecordingWriter, recipe: Recipe, datasets: Mapping[str, Any], *, ended: str = "") -> Path:
     """Join the segments, with datasets that are known only now; an error names the remaining segments.
 
-    ended: a sentence on why the recording ended. After Ctrl-C, joining that takes minutes is left to `evetac repair`;
+    ended: a sentence on why the recording ended. After Ctrl-C, long joining is left to `validate --repair`;
     the segments are complete. Returns the file, or the folder that is left.
     """
     size = writer.events + SEGMENT_EVENTS * writer.segments
@@ -240,7 +240,7 @@ def finish(writer: RecordingWriter, recipe: Recipe, datasets: Mapping[str, Any],
 
 
 def with_hint(error: BaseException, writer: RecordingWriter) -> BaseException:
-    """Add the location of what is left for `evetac repair` to an error for the user, or to Ctrl-C.
+    """Add the location of what is left for `evetac validate --repair` to an error for the user, or to Ctrl-C.
 
     Other errors are returned unchanged.
     """
@@ -256,7 +256,7 @@ def with_hint(error: BaseException, writer: RecordingWriter) -> BaseException:
 
 def place(saved: Path) -> str:
     """Return the location of a recording for messages: a file, or a folder of segments."""
-    return f"{saved}, for `evetac repair`" if saved.suffix == SUFFIX else str(saved)
+    return f"{saved}, for `evetac validate --repair`" if saved.suffix == SUFFIX else str(saved)
 
 
 def raise_end(

@@ -57,7 +57,7 @@ def one(seconds: float, camera: str, gripper: str) -> dict[str, Any]:
         output = Path(name) / "killed.recording.h5"
         ran_s = killed_after(seconds, camera, gripper, output)
         evetac = [sys.executable, "-P", "-m", "evetac_cli"]
-        repair = [*evetac, "repair", "--json", str(output.with_suffix(".part"))]
+        repair = [*evetac, "validate", "--repair", "--json", str(output.with_suffix(".part"))]
         done = subprocess.run(repair, capture_output=True, text=True, check=False)
         (row,) = json.loads(done.stdout)["rows"]
         repaired = done.returncode == 0 and row["status"] == "repaired" and output.exists()

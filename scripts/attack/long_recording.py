@@ -139,7 +139,7 @@ def commands(folder: Path, slices: int) -> Iterator[tuple[str, ...]]:
     yield "label", "--method", "truth", f"{long}", "-o", f"{folder / 'truth.labels.h5'}"
     yield "track", f"{long}"
     yield "featurize", f"{long}"
-    yield "track-rgb", f"{long}"
+    yield "track", "--rgb", f"{long}"
     yield from _force_model(folder / "trials", folder / "short.force-model.h5")
     yield "predict-touch", f"{folder / 'long.tracks.h5'}"
     yield "grasp", "--camera", f"replay:{long}", "-o", f"{folder / 'replayed.recording.h5'}"
@@ -148,7 +148,7 @@ def commands(folder: Path, slices: int) -> Iterator[tuple[str, ...]]:
     features = f"{folder / 'long.features.h5'}"
     yield "evaluate", "slip", features, "--model", f"{MODEL}", "-o", f"{folder / 'slip.report.h5'}"
     yield "trim", f"{long}", "--from-ms", "500", "-o", f"{folder / 'piece.recording.h5'}"
-    yield "repair", f"{broken}"
+    yield "validate", "--repair", f"{broken}"
     yield "export", "--format", "dsec", f"{long}", "-o", f"{folder / 'long.dsec.h5'}"
     yield "record", "--from", f"{folder / 'long.dsec.h5'}", "-o", f"{folder / 'imported.recording.h5'}"
     yield "trim", f"{long}", "--to-ms", f"{text_ms}", "-o", f"{folder / 'minutes.recording.h5'}"
@@ -190,7 +190,7 @@ def check(folder: Path, repeated: Repeated, slices: int, limit_mb: float, only: 
     began_s = time.monotonic()
     if not (folder / "long.recording.h5").exists():
         repeated.write(folder / "long.recording.h5", slices)
-    if not only or "repair" in only:
+    if not only or "validate" in only:
         repeated.leave_segments(folder / "broken.recording.h5", slices)
     own_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
     print(f"{slices} slices, {repeated.ms_to_idx(slices)[-1]} events (simulated, repeated)")

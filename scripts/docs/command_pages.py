@@ -13,7 +13,6 @@ from evetac_cli.cli.config import with_config
 from evetac_cli.cli.main import app
 from evetac_cli.commands.columns import columns_of
 from evetac_cli.errors import DeviceError, EvetacError, InputError
-from evetac_cli.evaluate.subjects import SUBJECTS
 from scripts.docs.page_text import bounds, code, fenced, prose, sentence, table
 
 FOLDER = "commands"
@@ -34,11 +33,10 @@ def every_command() -> dict[str, Any]:
 
 
 def _walk(command: Any, names: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
-    if hasattr(command, "commands"):
-        for name, inner in command.commands.items():
-            yield from _walk(inner, (*names, name))
-    else:
+    if names and (not hasattr(command, "commands") or command.invoke_without_command):
         yield " ".join(names), command
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from _walk(inner, (*names, name))
 
 
 def page_name(command: str) -> str:
@@ -131,14 +129,8 @@ def _help(command: Any) -> tuple[list[str], list[str]]:
 
 def _parameters(name: str) -> dict[str, Field[Any]]:
     """Return the parameters of a command by name, if the command is made from a dataclass."""
-    group, _, last = name.rpartition(" ")
-    listed = SUBJECTS if group == "evaluate" else _of_no_group()
-    return {item.name: item for command in listed if command.name == last for item in fields(command.params)}
-
-
-def _of_no_group() -> list[commands.Command]:
-    alone = [each for each in vars(commands).values() if isinstance(each, commands.Command)]
-    return [*commands.PIPELINE, *alone]
+    command = commands.EVERY.get(name) or with_config()[name]
+    return {item.name: item for item in fields(command.params)}
 
 
 def _option(param: Any, known: Field[Any] | None) -> tuple[str, str, str, str]:

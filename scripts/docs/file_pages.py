@@ -13,7 +13,7 @@ FOLDER = "files"
 MADE_BY = {
     "recording": "[`record`](../commands/record.md) and [`grasp`](../commands/grasp.md)",
     "labels": "[`label`](../commands/label.md)",
-    "tracks": "[`track`](../commands/track.md) and [`track-rgb`](../commands/track-rgb.md)",
+    "tracks": "[`track`](../commands/track.md)",
     "features": "[`featurize`](../commands/featurize.md)",
     "model": "[`train`](../commands/train.md)",
     "force-model": "[`train-force`](../commands/train-force.md)",

@@ -1,10 +1,10 @@
 """Build the pages of the simulation: scenes, sensors, their parts, objects, and every key of a scene or a sensor."""
 
-import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from evetac_cli.resources import SCENES, schemas
+from evetac_cli.inspect.listing import flat_rules, rules_of
+from evetac_cli.resources import SCENES
 from evetac_cli.resources import table as packaged
 from evetac_cli.sim.parts import PARTS, rows_of
 from evetac_cli.sim.setup.plan import Plan, first_plan
@@ -72,7 +72,7 @@ def _head(text: str) -> Iterator[str]:
 
 def _sensors() -> str:
     rows = sensor_rows()
-    rules = _rules("sensor")
+    rules = rules_of("sensor")
     lines = [
         "# Sensors\n",
         "Simulated sensors for `--sensor NAME`: gel, dots, camera and noise. None of them was measured on a real"
@@ -97,7 +97,7 @@ def _sensors() -> str:
             ("key", "meaning", "values", f"`{EXAMPLE}`"),
             [
                 (code(path), prose(rule.get("description", "")), _values(rule), value(_at(rows[EXAMPLE], path)))
-                for path, rule in _flat_rules(rules)
+                for path, rule in flat_rules(rules)
             ],
         ),
     ]
@@ -105,7 +105,7 @@ def _sensors() -> str:
 
 
 def _parts() -> str:
-    rules = {"sensor": _rules("sensor"), "scene": _rules("scene")}
+    rules = {"sensor": rules_of("sensor"), "scene": rules_of("scene")}
     built: dict[str, list[str]] = {}
     for name in scene_names():
         for row in rows_of(plan_of(name)):
@@ -139,8 +139,8 @@ def _parts() -> str:
 
 
 def _keys_page(owner: str, title: str, flag: str) -> str:
-    rules = _rules(owner)
-    rows = [(code(path), prose(rule.get("description", "")), _values(rule)) for path, rule in _flat_rules(rules)]
+    rules = rules_of(owner)
+    rows = [(code(path), prose(rule.get("description", "")), _values(rule)) for path, rule in flat_rules(rules)]
     return "\n".join(
         (
             f"# {title}\n",
@@ -167,22 +167,9 @@ def _objects() -> str:
     )
 
 
-def _rules(owner: str) -> Rules:
-    rules: Rules = json.loads((schemas() / f"{owner}.v1.json").read_text())
-    return rules
-
-
-def _flat_rules(rule: Rules, path: str = "") -> Iterator[tuple[str, Rules]]:
-    """Yield every key with its rule; the keys of a table follow the table, with a dot between."""
-    for name, inner in rule.get("properties", {}).items():
-        here = f"{path}.{name}" if path else name
-        yield here, inner
-        yield from _flat_rules(inner, here)
-
-
 def _rule(rules: Rules, path: str) -> Rules:
     """Return the rule of a key; KeyError if there is none."""
-    return dict(_flat_rules(rules))[path]
+    return dict(flat_rules(rules))[path]
 
 
 def _values(rule: Rules) -> str:

@@ -28,7 +28,7 @@ SPENT = "spent.json"
 CPU_INFO, MEMORY_INFO = Path("/proc/cpuinfo"), Path("/proc/meminfo")
 # The module that defines METHOD, the method version, of each command.
 MODULES = {name: command.module for name, command in with_config().items()}
-MODULES["train-force --method touch"] = "stages.force.adapt_touch"
+MODULES |= {"train-force --method touch": "stages.force.adapt_touch", "track --rgb": "stages.track_rgb"}
 COMMANDS = {
     "recording": "record", "labels": "label", "features": "featurize", "model": "train", "force-model": "train-force",
 }  # fmt: skip
@@ -153,7 +153,7 @@ def methods(headers: Iterable[Row]) -> dict[str, int]:
             if node["kind"] == "force-model" and node["parameters"].get("method") == "touch":
                 command = "train-force --method touch"
             if node["kind"] == "tracks":
-                command = "track" if node["seed"] is None else "track-rgb"
+                command = "track" if node["seed"] is None else "track --rgb"
             if node["kind"] == "recording" and "controller" in node["parameters"]:
                 command = "grasp"
             if command in MODULES:

@@ -44,7 +44,6 @@ IN_PARALLEL = (
     "featurize",
     "train",
     "grasp",
-    "track-rgb",
     "examples/cma_lift.py",
     "scripts/studies/slip/recordings.py",
 )  # commands given --jobs; fmt: skip

@@ -244,7 +244,7 @@ def force_steps(sizes: Sizes) -> Iterator[Command]:
     for folder in folders:
         for tracker in sizes["trackers"]:
             yield evetac("track", f"{folder}/*.recording.h5", "--preset", tracker, "--out", f"{folder}/{tracker}")
-        yield evetac("track-rgb", f"{folder}/*.recording.h5", "--out", f"{folder}/rgb")
+        yield evetac("track", f"{folder}/*.recording.h5", "--rgb", "--out", f"{folder}/rgb")
     for dots in (*sizes["trackers"], "rgb"):
         for seed in range(sizes["seed"], sizes["seed"] + sizes["seeds"]):
             yield evetac("train-force", f"learn/{dots}/*.tracks.h5", "--seed", seed,

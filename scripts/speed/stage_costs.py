@@ -11,7 +11,7 @@ kernels, reading flags, looking at files.
 
 Processor time includes all processes that a command starts. The least of several rounds counts, because other programs
 only add time. Memory is the largest resident set on all trials. Bytes are those of the stage's outputs. Run `evetac
-doctor --compile` first, otherwise the first round compiles. Simulated, one process (`--jobs 1`).
+doctor compile` first, otherwise the first round compiles. Simulated, one process (`--jobs 1`).
 """
 
 import argparse

@@ -11,23 +11,16 @@ import typer
 from typer.testing import CliRunner, Result
 
 from evetac_cli.cli.main import app
-from evetac_cli.commands import (
-    DOCTOR,
-    EXPORT,
-    PIPELINE,
-    REPORT,
-    SHARE,
-    VIEW,
-    Command,
-)
+from evetac_cli.commands import EVERY, FORMER, GROUPS, Command
+from evetac_cli.commands.parameter import EXPERTS
 from evetac_cli.evaluate.subjects import SUBJECTS
 from tests.conftest import Made
 
-COMMANDS = [([command.name], command) for command in (*PIPELINE, VIEW, EXPORT, DOCTOR)]
+COMMANDS = [(name.split(), command) for name, command in EVERY.items()]
 COMMANDS += [(["evaluate", command.name], command) for command in SUBJECTS]
 IDS = [" ".join(path) for path, _ in COMMANDS]
 SCREEN = {"COLUMNS": "80", "TERM": "dumb", "NO_COLOR": "1"}
-LINES = 60
+LINES = 45
 
 
 def evetac(*arguments: str) -> Result:
@@ -46,16 +39,24 @@ def panels(text: str) -> dict[str, list[str]]:
     return by_title
 
 
-@pytest.mark.parametrize("command", ["record", "grasp"])
-def test_what_most_people_need_fits_a_screen(command: str) -> None:
-    """Assert that examples, the ten flags that matter first, and how to run fit 60 lines of 80 columns."""
-    by_title = panels(evetac(command, "--help").stdout)
-    first, *others = by_title
-    assert [first, *others[:2]] == ["", "Options", "Running"]
-    assert len(others) >= 5
-    assert sum(len(by_title[title]) for title in ("", "Options", "Running")) <= LINES
-    flags = [line for line in by_title["Options"] if line.startswith("│ --")]
-    assert len(flags) <= 12, flags
+def test_what_most_people_need_fits_a_screen() -> None:
+    """Assert that help on the flags of record fits 45 lines of 80 columns, and that --help-all has the others."""
+    by_title = panels(evetac("record", "--help").stdout)
+    assert list(by_title)[:3] == ["", "Options", "Running"] and EXPERTS not in by_title
+    assert sum(line.startswith("│") for lines in by_title.values() for line in lines) <= LINES
+    more = panels(evetac("record", "--help-all").stdout)
+    assert list(more) == [*by_title, EXPERTS]
+    assert {"--theta", "--camera-substeps", "--engine"} <= set(re.findall(r"--[a-z-]+", " ".join(more[EXPERTS])))
+
+
+@pytest.mark.parametrize("former", FORMER)
+def test_a_former_name_is_answered_with_the_one_of_now(former: str) -> None:
+    """Assert that a command or flag that had another name is refused with the new one, which there is."""
+    result = evetac(*former.split(), "x")
+    assert result.exit_code == 2
+    assert f"`evetac {former}` is now `evetac {FORMER[former]}`" in " ".join(result.stderr.replace("│", " ").split())
+    name, *more = FORMER[former].split()
+    assert f"{name} {' '.join(more)}" in EVERY or set(more) <= set(evetac(name, "--help").stdout.split())
 
 
 @pytest.mark.parametrize(("path", "command"), COMMANDS, ids=IDS)
@@ -108,8 +109,13 @@ def test_switches_of_a_command_are_whole_after_its_help() -> None:
 def every_command() -> dict[str, Any]:
     """All commands by the words that call them."""
     root: Any = typer.main.get_command(app)
-    commands = {name: command for name, command in root.commands.items() if not hasattr(command, "commands")}
-    return commands | {f"evaluate {name}": command for name, command in root.commands["evaluate"].commands.items()}
+    found = {name: command for name, command in root.commands.items() if name != "evaluate"}
+    inside = {
+        f"{group} {name}": root.commands[group].commands[name]
+        for group in GROUPS
+        for name in root.commands[group].commands
+    }
+    return found | inside
 
 
 @pytest.mark.parametrize("name", every_command())
@@ -119,22 +125,22 @@ def test_every_command_can_be_quiet_and_say_more(name: str) -> None:
     assert {"-q", "--quiet", "-v", "--verbose", "--json"} <= names
 
 
-@pytest.mark.parametrize("command", ["info", "validate", "repair"])
-def test_quiet_commands_print_nothing(command: str, made: Made, tmp_path: Path) -> None:
+@pytest.mark.parametrize("words", [["info"], ["validate"], ["validate", "--repair"]])
+def test_quiet_commands_print_nothing(words: list[str], made: Made, tmp_path: Path) -> None:
     """Assert that -q leaves the exit code and errors alone, and prints nothing else; --json prints all the same."""
     shutil.copy(made.recordings[0], tmp_path / "a.recording.h5")
-    of_file = [str(tmp_path / "a.recording.h5")] if command in ("info", "validate") else [str(tmp_path)]
+    of_file = [str(tmp_path)] if "--repair" in words else [str(tmp_path / "a.recording.h5")]
     for files in ([str(tmp_path)], of_file):
-        run = evetac(command, "-q", *files)
+        run = evetac(*words, "-q", *files)
         assert (run.exit_code, run.stdout, run.stderr) == (0, "", "")
-        assert json.loads(evetac(command, "-q", "--json", *files).stdout)["command"] == command
-    missing = evetac(command, "-q", str(tmp_path / "none.recording.h5"))
+        assert json.loads(evetac(*words, "-q", "--json", *files).stdout)["command"] == words[0]
+    missing = evetac(*words, "-q", str(tmp_path / "none.recording.h5"))
     assert missing.exit_code == 2
     assert missing.stdout == ""
-    assert missing.stderr.startswith("error: ") or command == "validate"
+    assert missing.stderr.startswith("error: ") or words == ["validate"]
 
 
-@pytest.mark.parametrize(("path", "command"), [*COMMANDS, (["report"], REPORT), (["share"], SHARE)])
+@pytest.mark.parametrize(("path", "command"), COMMANDS, ids=IDS)
 def test_help_says_of_folders_what_is_done_with_them(path: list[str], command: Command, tmp_path: Path) -> None:
     """Assert that help speaks of the files in a folder where these are taken, and only there."""
     sentence = f"For a folder, all {command.kind} files in it are used."

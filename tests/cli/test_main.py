@@ -130,7 +130,7 @@ def test_without_a_command(arguments: list[str]) -> None:
 @pytest.mark.parametrize(("path", "command"), COMMANDS, ids=[" ".join(path) for path, _ in COMMANDS])
 def test_help_says_everything(path: list[str], command: Command) -> None:
     """Assert that the help of a command has each flag with help, choices, unit and default, also where that is 0."""
-    result = evetac(*path, "--help")
+    result = evetac(*path, "--help-all")
     text = plain_text(result.output)
     assert result.exit_code == 0
     assert " ".join(command.params.__doc__.split()) in text
@@ -456,7 +456,7 @@ WITHOUT_CONSENT = {
     "record, replay": ["record", "--camera", "replay:a.h5", "--gripper", "PORT"],
     "grasp, config": ["grasp", "--config", "c.toml", "--camera", "virtual:prepared", "--gripper", "PORT"],
     "grasp, rate and id": ["grasp", "--camera", "dvxplorer", "--gripper", "PORT:5@57600"],
-    "doctor, yes": ["doctor", "--hardware", "--yes", "--gripper", "PORT"],
+    "doctor, yes": ["doctor", "hardware", "--yes", "--gripper", "PORT"],
 }
 
 

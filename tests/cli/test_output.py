@@ -91,7 +91,7 @@ runpy.run_module("evetac_cli", run_name="__main__", alter_sys=True)
 """
 BROKEN = """
 import evetac_cli.inspect.info as info
-def run(files):
+def run(files, errors):
     raise ZeroDivisionError("division by \\x1b[31mzero")
 info.run = run
 """

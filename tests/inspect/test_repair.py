@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.errors import InputError
-from evetac_cli.inspect import repair, validate
+from evetac_cli.inspect import validate
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings import segments
@@ -39,7 +39,7 @@ def gripper(k: int) -> dict[str, float]:
 def test_repaired_is_what_was_recorded(tmp_path: Path) -> None:
     """Assert that all closed segments are in a valid file, whose header says whence and that it broke off."""
     folder = broken_off(tmp_path, [2, 3, 1], gripper)
-    result = repair.run([folder])
+    result = validate.repair([folder])
     (row,) = result.rows
     assert (row["status"], row["slices_kept"], row["slices_lost"], row["events_kept"]) == ("repaired", 6, 0, 18)
     assert row["gripper_rows_kept"] == 3
@@ -50,7 +50,7 @@ def test_repaired_is_what_was_recorded(tmp_path: Path) -> None:
         for k, events in enumerate(recording):
             assert all((one == other).all() for one, other in zip(events, events_of(k), strict=True))
         assert recording.read("gripper/t_us").tolist() == [0, 2000, 4000]
-        assert recording.read("capture/ended") == repair.ENDED
+        assert recording.read("capture/ended") == validate.ENDED
         assert not recording.has("capture/lost_slices")
         header = recording.header
     assert header["parameters"] == RECIPE.parameters
@@ -63,7 +63,7 @@ def test_gap_stays_in_time(tmp_path: Path) -> None:
     """Assert that the slices of a lost segment exist, empty and named, and later events keep their time."""
     folder = broken_off(tmp_path, [2, 3, 4], lambda k: {"control/probability": k / 10} | control(k))
     (folder / "000001.h5").write_bytes(b"")
-    (row,) = repair.run([tmp_path]).rows
+    (row,) = validate.repair([tmp_path]).rows
     assert (row["slices_kept"], row["slices_lost"], row["segments_unreadable"]) == (6, 3, 1)
     with open_recording(tmp_path / "a.recording.h5") as recording:
         assert [events.size for events in recording] == [3, 3, 0, 0, 0, 3, 3, 3, 3]
@@ -87,7 +87,7 @@ def test_invalid_result_costs_nothing(tmp_path: Path) -> None:
     """Assert that rows that do not make a recording are reported, and leave the folder as it was and no file."""
     folder = broken_off(tmp_path, [2], lambda k: {"gripper/t_us": 1000 * k})
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    result = repair.run([folder])
+    result = validate.repair([folder])
     assert result.summary["invalid"] == 1
     assert "gripper/current_ma is missing" in str(result.rows[0]["fault"])
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
@@ -97,10 +97,10 @@ def test_invalid_result_costs_nothing(tmp_path: Path) -> None:
 def test_existing_recording_is_not_replaced(tmp_path: Path) -> None:
     """Assert that what was left beside a recording that exists is kept, and the recording too."""
     folder = broken_off(tmp_path, [2])
-    repair.run([folder])
+    validate.repair([folder])
     before = (tmp_path / "a.recording.h5").read_bytes()
     again = broken_off(tmp_path, [3])
-    (row,) = repair.run([again]).rows
+    (row,) = validate.repair([again]).rows
     assert row["status"] == "not repaired"
     assert "exists" in str(row["fault"])
     assert again.is_dir()
@@ -110,15 +110,15 @@ def test_existing_recording_is_not_replaced(tmp_path: Path) -> None:
 def test_folder_of_a_complete_recording_is_removed(tmp_path: Path) -> None:
     """Assert that a folder that was only not removed goes, once the recording is found valid; else it stays."""
     folder = broken_off(tmp_path, [2])
-    repair.run([folder])
+    validate.repair([folder])
     folder = broken_off(tmp_path, [2])
     (folder / segments.JOINED).touch()
-    assert repair.run([folder]).rows[0]["status"] == "was complete"
+    assert validate.repair([folder]).rows[0]["status"] == "was complete"
     assert not folder.exists()
     folder = broken_off(tmp_path, [2])
     (folder / segments.JOINED).touch()
     (tmp_path / "a.recording.h5").write_bytes(b"")
-    assert repair.run([folder]).rows[0]["status"] == "not repaired"
+    assert validate.repair([folder]).rows[0]["status"] == "not repaired"
     assert folder.is_dir()
 
 
@@ -130,7 +130,7 @@ def test_kill_while_joining(tmp_path: Path) -> None:
     others = [f".b.recording.h5.{dead}", ".a.recording.h5.elsewhere.999999999.ab.tmp", ".a.recording.h5.notes.tmp"]
     for name in others:
         (tmp_path / name).write_bytes(b"of another")
-    assert repair.run([tmp_path]).rows[0]["status"] == "repaired"
+    assert validate.repair([tmp_path]).rows[0]["status"] == "repaired"
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*others, "a.recording.h5"])
 
 
@@ -140,7 +140,7 @@ def test_what_no_recorder_wrote_stays(name: str, tmp_path: Path) -> None:
     folder = broken_off(tmp_path, [2])
     (folder / name).parent.mkdir(exist_ok=True)
     (folder / name).write_text("mine")
-    (row,) = repair.run([folder]).rows
+    (row,) = validate.repair([folder]).rows
     assert row["status"] == "repaired"
     assert row["left_in_folder"] == name.partition("/")[0]
     assert [path.name for path in folder.iterdir()] == [name.partition("/")[0]]
@@ -155,19 +155,19 @@ def test_nothing_to_repair(tmp_path: Path) -> None:
     """Assert that a folder without a segment, and what is no folder, are refused in words; an empty search is none."""
     writer = RecordingWriter(tmp_path / "a.recording.h5", STATIC, recipe=RECIPE)
     writer._lock.close()  # as if it had been killed
-    assert "no slice of this recording" in str(repair.run([writer.folder]).rows[0]["fault"])
+    assert "no slice of this recording" in str(validate.repair([writer.folder]).rows[0]["fault"])
     with pytest.raises(InputError, match="no such file"):
-        repair.run([tmp_path / "nothing"])
+        validate.repair([tmp_path / "nothing"])
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="not the folder of an interrupted recording"):
-        repair.run([tmp_path / "file"])
+        validate.repair([tmp_path / "file"])
     (tmp_path / "file.part").write_text("")
-    none, file, empty = repair.run([tmp_path / f"{name}.part" for name in ("no", "file", "a.recording")]).rows
+    none, file, empty = validate.repair([tmp_path / f"{name}.part" for name in ("no", "file", "a.recording")]).rows
     assert "no such file" in none["fault"]
     assert "not the folder" in file["fault"]
     assert "no slice" in empty["fault"]
     (tmp_path / "sub").mkdir()
-    assert repair.run([tmp_path / "sub"]).rows == []
+    assert validate.repair([tmp_path / "sub"]).rows == []
 
 
 @pytest.mark.parametrize("after_s", [0.05, pytest.param(0.35, marks=pytest.mark.slow)])
@@ -191,7 +191,7 @@ def test_killed_recording_is_repaired(after_s: float, long_recording: Path, tmp_
     time.sleep(after_s)
     os.kill(run.pid, signal.SIGKILL)
     run.wait()
-    (row,) = repair.run([tmp_path]).rows
+    (row,) = validate.repair([tmp_path]).rows
     assert row["status"] == "repaired"
     with open_recording(output) as repaired, open_recording(long_recording) as played:
         assert 0 < len(repaired) <= len(played)
@@ -205,7 +205,7 @@ def test_m5_a_segment_with_a_huge_number_ends_in_words(tmp_path: Path) -> None:
     """Assert that a file whose name is a number that no recording reaches is one line, not a wait without end."""
     folder = broken_off(tmp_path, [2, 3])
     (folder / "99999999999.h5").touch()
-    (row,) = repair.run([folder]).rows
+    (row,) = validate.repair([folder]).rows
     assert (row["status"], row["slices_kept"], row["slices_lost"]) == ("repaired", 5, 0)
     assert "99999999999" in row["unreadable"]
     assert len(row["unreadable"]) < 500
@@ -234,7 +234,7 @@ def test_m4_a_senseless_segment_is_left_out_in_words(tmp_path: Path, change: Cal
     folder = broken_off(tmp_path, [2, 3, 4])
     with h5py.File(folder / "000002.h5", "r+") as h5:
         change(h5)
-    (row,) = repair.run([folder]).rows
+    (row,) = validate.repair([folder]).rows
     assert (row["status"], row["slices_kept"], row["segments_unreadable"]) == ("repaired", 5, 1)
     assert "000002: " in str(row["unreadable"])
 
@@ -247,7 +247,7 @@ def test_m4_a_senseless_recipe_ends_in_words(tmp_path: Path, recipe: str) -> Non
     folder = broken_off(tmp_path, [2])
     with h5py.File(folder / "static.h5", "r+") as h5:
         h5.attrs["recipe"] = recipe
-    (row,) = repair.run([folder]).rows
+    (row,) = validate.repair([folder]).rows
     assert "cannot be read" in str(row["fault"])
     assert len(str(row["fault"])) < 1000
     assert folder.is_dir()

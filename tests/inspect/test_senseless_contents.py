@@ -16,7 +16,6 @@ from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.commands.track import Track
-from evetac_cli.commands.track_rgb import TrackRgb
 from evetac_cli.commands.trim import Trim
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate.labels import EvaluateLabels
@@ -26,7 +25,7 @@ from evetac_cli.evaluate.slip import measure as evaluate_slip
 from evetac_cli.evaluate.tracking import EvaluateTracking
 from evetac_cli.evaluate.tracking import measure as evaluate_tracking
 from evetac_cli.inspect import validate
-from evetac_cli.stages import featurize, label, track, track_rgb, trim
+from evetac_cli.stages import featurize, label, track, trim
 from evetac_cli.stages.touch import predict_touch
 from evetac_cli.store.files import StageFile, put_header
 from evetac_cli.store.layout.provenance import recompute_id
@@ -170,7 +169,7 @@ STAGES: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "trim": ("recording", lambda path: outcome_of(trim, Trim(), path)),
     "track": ("recording", lambda path: outcome_of(track, Track(), path)),
     "label truth": ("recording", lambda path: outcome_of(label, Label(method="truth"), path)),
-    "track-rgb": ("recording", lambda path: outcome_of(track_rgb, TrackRgb(), path)),
+    "track --rgb": ("recording", lambda path: outcome_of(track, Track(rgb=True), path)),
     "featurize": (
         "recording",
         lambda path: outcome_of(featurize, Featurize(tracks=path.parent, labels=path.parent), path),
@@ -188,7 +187,7 @@ REFUSED_BY = [
     ("trim", in_recording("events/x", 3, 640, "events/x")),
     ("track", in_recording("events/p", 3, 2, "events/p")),
     ("label truth", in_recording("truth/slip", 3, 7, "truth/slip")),
-    ("track-rgb", in_recording("truth/dot_xy_px", (0, 0), INF, "truth/dot_xy_px")),
+    ("track --rgb", in_recording("truth/dot_xy_px", (0, 0), INF, "truth/dot_xy_px")),
     ("featurize", tracks("dot_xy_px", (2, 1), INF, "dot_xy_px")),
     ("featurize", labels("label", 3, 5, "label")),
     ("evaluate labels", labels("label", 3, 5, "label")),

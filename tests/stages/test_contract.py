@@ -28,7 +28,6 @@ from evetac_cli.commands.parameter import flag_of
 from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.commands.record import Record
 from evetac_cli.commands.track import Track
-from evetac_cli.commands.track_rgb import TrackRgb
 from evetac_cli.commands.train import Train
 from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.commands.trim import Trim
@@ -58,7 +57,6 @@ from evetac_cli.stages import (
     featurize,
     label,
     track,
-    track_rgb,
     train,
     trim,
 )
@@ -166,7 +164,7 @@ STAGES = [
     Stage("track", track, some(Track), some(Track, preset="paper"), of("recording")),
     Stage("featurize", featurize, some(Featurize), some(Featurize, images=True), of("recording")),
     Stage("train", train, some(Train, **TRAIN), some(Train, **TRAIN, seed=1), every("features")),
-    Stage("track-rgb", track_rgb, some(TrackRgb), some(TrackRgb, seed=1), of("recording")),
+    Stage("track --rgb", track, some(Track, rgb=True), some(Track, rgb=True, seed=1), of("recording")),
     Stage(
         "train-force", train_force, some(TrainForce, **FORCE), some(TrainForce, **FORCE, seed=1),
         every("tracks"),
@@ -379,7 +377,7 @@ def test_nothing_to_do_loads_no_kernel(stage: Stage, folder: Path, tmp_path: Pat
 
 def test_every_stage_takes_part() -> None:
     """Assert that no command that makes a stage file is missing here."""
-    assert {stage.name for stage in STAGES} == set(with_config()) - {
+    assert {stage.name.removesuffix(" --rgb") for stage in STAGES} == set(with_config()) - {
         "calibrate",
         "identify",
         "evaluate cost",

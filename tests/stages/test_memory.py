@@ -13,7 +13,6 @@ from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.record import Record
 from evetac_cli.commands.track import Track
-from evetac_cli.commands.track_rgb import TrackRgb
 from evetac_cli.commands.trim import Trim
 from evetac_cli.devices import replay
 from evetac_cli.evaluate.tracking import EvaluateTracking
@@ -89,7 +88,7 @@ COMMANDS: dict[str, Callable[[Path, Path], None]] = {
     "trim": lambda folder, out: _on_recording(trim, Trim(from_ms=100), folder, out),
     "track": lambda folder, out: _on_recording(track, Track(), folder, out),
     "featurize": lambda folder, out: _on_recording(featurize, Featurize(images=True), folder, out),
-    "track-rgb": lambda folder, out: _on_recording(track_rgb, TrackRgb(), folder, out),
+    "track --rgb": lambda folder, out: _on_recording(track, Track(rgb=True), folder, out),
     "label": lambda folder, out: _on_recording(label, Label(), folder, out),
     "label by flow": lambda folder, out: _on_recording(label, Label(method="farneback"), folder, out),
     "grasp again": _replay,
@@ -106,7 +105,7 @@ SLOW = (
     "grasp again",
     "label by flow",
     "trim",
-    "track-rgb",
+    "track --rgb",
     "export dsec",
     "export parquet",
 )  # commands that take seconds

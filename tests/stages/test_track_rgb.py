@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.commands.track_rgb import TrackRgb
-from evetac_cli.stages import track_rgb
+from evetac_cli.commands.track import Track
+from evetac_cli.stages import track, track_rgb
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from tests.make import event_arrays, events_at, run_stage, truth_arrays
@@ -33,7 +33,7 @@ def moving_grid(path: Path, trial: int = 0, seed: int = 5, **more: Any) -> Path:
 
 def tracks(path: Path) -> np.ndarray:
     """Where the dots of a recording are found in its frames."""
-    output, _ = run_stage(track_rgb, [path], TrackRgb())
+    output, _ = run_stage(track, [path], Track(rgb=True))
     with StageFile(output) as made:
         result: np.ndarray = made.read("dot_xy_px")
     return result

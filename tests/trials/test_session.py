@@ -90,7 +90,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (20000, resource.RLIM_INFINITY))
 try:
     session.finish(writer, recipe, {})
 except InputError as error:
-    print("File too large" in str(error), "evetac repair" in str(error), writer.folder.exists())
+    print("File too large" in str(error), "evetac validate --repair" in str(error), writer.folder.exists())
 """
 
 
@@ -140,4 +140,4 @@ def test_what_the_computer_was_too_slow_for(
         assert said is not None
         assert said.startswith("this computer was too slow: ")
         assert words in said
-        assert said.endswith("`evetac doctor --speed` reports what is too slow")
+        assert said.endswith("`evetac doctor speed` reports what is too slow")

@@ -37,7 +37,7 @@ TIMESTAMP_CODE = 2  # bits 26 and up of a word
 _GONE = (errno.ENODEV, errno.ENOENT, errno.ESHUTDOWN)
 _BY_ERRNO: dict[int | None, tuple[str, str]] = {  # what happened, and what to do
     **dict.fromkeys(_GONE, ("is no longer on the bus", "plug it in again, in a USB 3 port and with a firm cable")),
-    errno.EACCES: ("you have no permission to open it", "`evetac doctor --print-udev` prints the udev rule to install"),
+    errno.EACCES: ("you have no permission to open it", "`evetac doctor udev` prints the udev rule to install"),
     errno.EBUSY: ("is used by another program", "close DV, the ROS node or the other evetac that has it open"),
     errno.ETIMEDOUT: ("did not answer in time", "unplug the camera and plug it in again"),
 }

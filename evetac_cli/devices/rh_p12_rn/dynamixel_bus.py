@@ -298,7 +298,7 @@ def _not_opened(where: str, error: BaseException) -> DeviceError:
     if number == 2 or "No such file" in str(error):
         return DeviceError("there is no such port", where=where, hint="evetac doctor lists the serial ports")
     if number == 13:
-        hint = "sudo usermod -aG dialout $USER, then log in again; or evetac doctor --print-udev"
+        hint = "sudo usermod -aG dialout $USER, then log in again; or evetac doctor udev"
         return DeviceError("no permission to open the port", where=where, hint=hint)
     if number in (11, 16) or "exclusively lock" in str(error):
         return DeviceError("the port is in use by another program", where=where, hint="end that program")

@@ -157,7 +157,7 @@ def _preset_names(parameters: list[dict[str, Any]]) -> list[str]:
     names = []
     for entry in parameters:
         same = variants.setdefault(entry["preset"], [])
-        made_by = entry["constants"] if "constants" in entry else entry["camera"]  # from track, or from track-rgb
+        made_by = entry["constants"] if "constants" in entry else entry["camera"]  # from track, or from track --rgb
         constants = json.dumps(made_by, sort_keys=True)
         if constants not in same:
             same.append(constants)

@@ -4,8 +4,6 @@ It only reads: it writes no register, no setting and no file. A gripper's baud r
 when the user runs the printed command.
 """
 
-import errno
-import itertools
 import os
 import stat
 from collections.abc import Callable, Iterator
@@ -13,10 +11,7 @@ from pathlib import Path
 
 from evetac_cli import plugins
 from evetac_cli.commands.doctor import Doctor
-from evetac_cli.console import print_text
 from evetac_cli.devices.cameras import NamedCamera
-from evetac_cli.devices.dvxplorer import protocol
-from evetac_cli.devices.dvxplorer.camera import SUPER_SPEED, FoundCamera
 from evetac_cli.devices.grippers import BAUD, ID, NamedGripper, Serial, parse_port
 from evetac_cli.devices.probe import FTDI, Host, SerialPort
 from evetac_cli.devices.rh_p12_rn.control_table import (
@@ -28,31 +23,22 @@ from evetac_cli.devices.rh_p12_rn.control_table import (
 )
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import BusDevice
 from evetac_cli.errors import EXTRAS, DeviceError, InputError, install_hint, pip
-from evetac_cli.events import FRAME_PX
 from evetac_cli.formats import exports, imports
-from evetac_cli.jobs import Outcome, Row
+from evetac_cli.inspect.doctor.cameras import camera_rows, end_program
+from evetac_cli.inspect.doctor.checks import check, show
+from evetac_cli.inspect.doctor.udev import INSTALL_RULES, JOIN
+from evetac_cli.jobs import Looking, Outcome, Row
 from evetac_cli.kernels.grip.control import PluginLaw
 from evetac_cli.kernels.slip.architectures import PluginLayers
 from evetac_cli.plugins import Plugin
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.plan import named_objects, one_sensor
 
-RULES = "/etc/udev/rules.d/60-evetac.rules"
-RELOAD = "sudo udevadm control --reload && sudo udevadm trigger"
-MAY_USE = 'GROUP="dialout", MODE="0660", TAG+="uaccess"'
-JOIN = "sudo usermod -aG dialout $USER, and log in again"
-INSTALL_RULES = f"evetac doctor --print-udev | sudo tee {RULES} && {RELOAD}; then plug it in again"
-OLDEST_FIRMWARE = 8
+__all__ = ["LOADED", "SERVES", "check", "look", "plugin_rows", "run", "show"]
+
 LEAST_BAUD = 1_000_000  # required for a control cycle of 2 ms
 LATENCY_MS = 1
 FREE_BYTES = 1 << 30  # some 5 min at a million events per second, with 3.5 bytes per event on disk
-SPEEDS = {
-    1: "USB 1, 1.5 Mbit/s",
-    2: "USB 1, 12 Mbit/s",
-    3: "USB 2, 480 Mbit/s",
-    4: "USB 3, 5 Gbit/s",
-    5: "USB 3, 10 Gbit/s",
-}
 OPENCV = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "opencv-contrib-python-headless")
 
 # The features that need each extra.
@@ -82,25 +68,9 @@ NOT_ASKED = "not checked: not an FTDI adapter"
 WHICH_PORTS = "`ls /dev/ttyUSB* /dev/ttyACM*` lists the ports"
 
 
-def udev_rules() -> str:
-    """Return udev rules that permit the use of the camera and the gripper's adapter, and set its latency to 1 ms.
-
-    Permitted are the user who is logged in at the computer and the group dialout, not everybody, because write access
-    to the adapter can move the gripper.
-    """
-    return "\n".join(
-        (
-            f"# For {RULES}. Install with:",
-            f"#   evetac doctor --print-udev | sudo tee {RULES}",
-            f"#   {RELOAD}",
-            "# and plug the devices in again. The user logged in at the computer and the group dialout may use them:",
-            f"#   {JOIN}",
-            "# Cameras of iniVation, including the DVXplorer Mini (152a:8419).",
-            'SUBSYSTEM=="usb", ATTR{idVendor}=="152a", ATTR{idProduct}=="84[0-1]?", ' + MAY_USE,
-            "# Serial adapters of FTDI, including ROBOTIS' U2D2: an answer is passed on after 1 ms instead of 16 ms.",
-            'SUBSYSTEM=="tty", KERNEL=="ttyUSB*", DRIVERS=="ftdi_sio", ATTR{device/latency_timer}="1", ' + MAY_USE,
-        )
-    )
+def look(looking: Looking) -> Outcome:
+    """Examine everything."""
+    return run(looking.params)
 
 
 def run(params: Doctor, host: Host | None = None) -> Outcome:
@@ -109,7 +79,7 @@ def run(params: Doctor, host: Host | None = None) -> Outcome:
     rows = [*_software(host), *plugin_rows(), _disk(host, Path.cwd())]
     cameras = host.cameras() if host.has_libusb() else []
     for camera in cameras:
-        rows += _camera(host, camera)
+        rows += camera_rows(host, camera)
     kind = (params.gripper or "").partition(":")[0]
     if kind in NO_PORTS:
         reason = f"no: a {kind} gripper needs no check" if kind != "none" else "no: no gripper was given"
@@ -126,42 +96,6 @@ def run(params: Doctor, host: Host | None = None) -> Outcome:
         grippers += count
     wrong = sum(row["ok"] is False for row in rows)
     return Outcome(rows, False, {"cameras": len(cameras), "grippers": grippers, "wrong": wrong})
-
-
-def show(result: Outcome) -> None:
-    """Print a block for each device: what is right, what is wrong, and how to fix it."""
-    counts = result.summary
-    for device, group in itertools.groupby(result.rows, key=lambda row: str(row["device"])):
-        print_text(device)
-        for row in group:
-            sign = {True: "ok", False: "WRONG", None: "-"}[row["ok"]]
-            expected = f"  (expected: {row['expected']})" if row["ok"] is not True and row["expected"] else ""
-            print_text(f"  {sign:<6}{row['check']:<15} {row['found']}{expected}")
-            if row["fix"]:
-                print_text(f"        {'':<16}try: {row['fix']}")
-    if counts.get("cameras") == 0:
-        print_text(
-            "no camera found on USB. If one is plugged in, try another port or cable (some cables only carry power);"
-        )
-        print_text("`lsusb -d 152a:` shows whether the system sees it. Simulated and virtual devices need no camera.")
-    if counts.get("grippers") == 0:
-        print_text(
-            "no gripper found. By default doctor only checks FTDI adapters (U2D2): give another port with"
-            " --gripper PORT."
-        )
-    print_text(f"{counts['wrong']} wrong" if counts["wrong"] else "no faults found")
-
-
-def check(device: str, check: str, ok: bool | None, result: str, expected: str = "", fix: str = "") -> Row:
-    """Return the row of a check. ok: None if it is neither right nor wrong; fix: what to do unless it is right."""
-    return {
-        "device": device,
-        "check": check,
-        "ok": ok,
-        "found": result,
-        "expected": expected or None,
-        "fix": fix if fix and ok is not True else None,
-    }
 
 
 def _software(host: Host) -> Iterator[Row]:
@@ -214,53 +148,6 @@ def _disk(host: Host, folder: Path) -> Row:
     return check("disk", "free space", enough, room, f"{FREE_BYTES / 1e9:.1f} GB", fix)
 
 
-def _camera(host: Host, camera: FoundCamera) -> Iterator[Row]:
-    name = f"camera {camera.serial or 'at ' + camera.where}"
-    mini = camera.board == protocol.MINI_BOARD
-    fix = "record with iniVation's DV, and import the file: evetac record --from FILE.aedat4"
-    yield check(name, "model", mini, f"board {camera.board}", f"board {protocol.MINI_BOARD}, a DVXplorer Mini", fix)
-    if mini:
-        is_supported = OLDEST_FIRMWARE <= camera.firmware <= protocol.NEWEST_FIRMWARE
-        newer = "install a newer evetac; this version may work too"
-        fix = "update it with iniVation's DV" if camera.firmware < OLDEST_FIRMWARE else newer
-        expected = f"{OLDEST_FIRMWARE} to {protocol.NEWEST_FIRMWARE}"
-        yield check(name, "firmware", is_supported, str(camera.firmware), expected, fix)
-    if camera.speed is not None:
-        fast = camera.speed >= SUPER_SPEED
-        fix = "use a USB 3 port (blue, or marked SS) and a USB 3 cable, without a hub"
-        yield check(name, "link", fast, SPEEDS.get(camera.speed, f"speed {camera.speed}"), "USB 3", fix)
-    answer = host.ask_camera(camera)
-    yield check(name, *_opened(host, camera, answer.errno, answer.message))
-    if answer.frame_px is not None and mini:
-        right = answer.frame_px == FRAME_PX
-        fix = "the sensor is not that of a DVXplorer Mini: is this the right camera?"
-        yield check(name, "sensor", right, "{} x {} px".format(*answer.frame_px), "{} x {} px".format(*FRAME_PX), fix)
-
-
-def _opened(host: Host, camera: FoundCamera, number: int, message: str) -> tuple[str, bool, str, str, str]:
-    """Return the check of opening a camera and reading its sensor's size: check, ok, found, expected, fix."""
-    if number == 0:
-        return "access", True, "opens and answers", "", ""
-    node = host.dev / "bus" / "usb" / f"{camera.device.bus or 0:03d}" / f"{camera.device.address or 0:03d}"
-    if number == errno.EACCES:
-        fix = f"{INSTALL_RULES}; over ssh, also {JOIN}"
-        return "permission", False, f"none for this user ({message})", "a udev rule", fix
-    if number == errno.EBUSY:
-        users = host.programs_using(node)
-        by = ", ".join(users) or "another program"
-        return "busy", False, f"used by {by}", "free", _end(users) if users else f"sudo fuser {node} shows which"
-    if number in (errno.ENODEV, errno.ENOENT):
-        gone = f"the camera disappeared from the bus while it was read ({message})"
-        return "access", False, gone, "", "check the cable, or try another port"
-    if number in (errno.EPIPE, errno.ETIMEDOUT, errno.EIO):
-        return "answers", False, f"no ({message})", "the size of its sensor", "unplug the camera and plug it in again"
-    return "access", False, message, "", "unplug the camera and plug it in again, without a hub"
-
-
-def _end(users: list[str]) -> str:
-    return f"end that program, or: kill {' '.join(user.split('(')[-1].rstrip(')') for user in users)}"
-
-
 def _ports(host: Host, params: Doctor) -> Iterator[tuple[SerialPort, Serial | None]]:
     """Yield the existing serial ports and the one that the user gave, with the gripper given there."""
     option = params.gripper or ""
@@ -294,7 +181,7 @@ def _port(host: Host, path: Path, user_gripper: Serial | None) -> tuple[list[Row
         )
     users = host.programs_using(path)
     if users:
-        return [*rows, check(name, "busy", False, f"used by {', '.join(users)}", "free", _end(users))], 0
+        return [*rows, check(name, "busy", False, f"used by {', '.join(users)}", "free", end_program(users))], 0
     try:
         grippers = host.scan(path, ID if user_gripper is None else user_gripper.id)
     except DeviceError as error:

@@ -1,4 +1,4 @@
-"""doctor --compile: let numba compile the functions that commands need, so that no command has to wait for it later.
+"""doctor compile: let numba compile the functions that commands need, so that no command has to wait for it later.
 
 The commands themselves are run, on short trials in a temporary folder. A list of functions and their types would have
 to be maintained by hand and would be wrong after the next change of a kernel.
@@ -12,13 +12,14 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
 from evetac_cli import console
 from evetac_cli.console import print_table
 from evetac_cli.errors import EvetacError
-from evetac_cli.jobs import Outcome, Progress, Rows, silent
+from evetac_cli.jobs import Looking, Outcome, Progress, Rows, silent
 from evetac_cli.kernels.slip import inputs
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, CHANNELS
 from evetac_cli.sim.setup.scene_file import changed
@@ -33,6 +34,11 @@ COMMANDS = (
     f"record --scene {SCENE} --object 3 --out b.recording.h5",
     "grasp --object 11 --lift-s 1 --balance-s 0.1 --out c.recording.h5",
 )
+
+
+def look(looking: Looking) -> Outcome:
+    """Compile, and report each command on stderr unless quiet."""
+    return run(looking.progress, say=(lambda line: None) if looking.quiet else console.say)
 
 
 def run(
@@ -62,9 +68,9 @@ def run(
     return Outcome(rows, False, {"time_s": time.monotonic() - started})
 
 
-def show(result: Outcome) -> None:
+def show(result: Outcome, **_: Any) -> None:
     """Print how long each command took."""
-    print_table("doctor --compile", result.rows, result.summary, simulated=False)
+    print_table("doctor compile", result.rows, result.summary, simulated=False)
 
 
 def _run(line: str, folder: str, say: Callable[[str], None]) -> None:

@@ -1,4 +1,4 @@
-"""doctor --hardware: the first test of a camera and a gripper, step by step at low current, with a report.
+"""doctor hardware: the first test of a camera and a gripper, step by step at low current, with a report.
 
 Each step states its expectation first and its finding afterwards; the first unexpected finding ends the check, with
 torque off. Nothing moves before communication, limits and the Bus Watchdog have been tested. Then the fingers close and
@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from evetac_cli import console
-from evetac_cli.commands.doctor import Doctor
+from evetac_cli.commands.doctor import DoctorHardware
 from evetac_cli.console import print_text
 from evetac_cli.devices import cameras as named_cameras
 from evetac_cli.devices import grippers as named_grippers
@@ -43,7 +43,7 @@ from evetac_cli.devices.rh_p12_rn.dynamixel_bus import RANGE_FAULT, Bus, Instruc
 from evetac_cli.devices.rh_p12_rn.torque import SETTLE_S, Torque
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.events import SLICES_PER_S
-from evetac_cli.jobs import Outcome
+from evetac_cli.jobs import Looking, Outcome
 from evetac_cli.names import Capability
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.provenance import time_host_versions
@@ -55,7 +55,7 @@ SILENCE = 3  # in units of the watchdog's time
 ROOM_TICKS = range(60, 640)  # positions from which the fingers can both close and open a little
 CAMERA_S = 1.0
 LIBRARIES = ("dynamixel-sdk", "pyserial", "pyusb", "libusb-package")
-LOOK_FOR_IT = "is 24 V on? evetac doctor --gripper PORT, without --hardware, shows the id and baud rate that answer"
+LOOK_FOR_IT = "is 24 V on? evetac doctor --gripper PORT shows the id and baud rate that answer"
 MOTION = "the fingers will move a little: keep the space between them empty, and the 24 V switch within reach"
 
 
@@ -83,7 +83,14 @@ class Steps:
             raise NotAsExpected
 
 
-def run(params: Doctor, out: Path | None, ask: Callable[[str], bool] | None = None) -> Outcome:
+def look(looking: Looking) -> Outcome:
+    """Test the given devices; InputError with --quiet, because every step is announced."""
+    if looking.quiet:
+        raise InputError("has no effect: every step is announced", where="--quiet")
+    return run(looking.params, looking.out)
+
+
+def run(params: DoctorHardware, out: Path | None, ask: Callable[[str], bool] | None = None) -> Outcome:
     """Test the given camera and gripper; return a row for every step, and write a report file.
 
     ask: asks the user a question before the first motion. Raises InputError without --arm, without a gripper or camera,
@@ -91,7 +98,7 @@ def run(params: Doctor, out: Path | None, ask: Callable[[str], bool] | None = No
     """
     if params.gripper is None and params.camera is None:
         raise InputError(
-            "no device was given to test", where="--hardware", expected="--gripper PORT, --camera NAME, or both"
+            "no device was given to test", where="doctor hardware", expected="--gripper PORT, --camera NAME, or both"
         )
     camera = named_cameras.parse(params.camera) if params.camera is not None else None
     gripper = named_grippers.parse(params.gripper or "none")
@@ -101,12 +108,12 @@ def run(params: Doctor, out: Path | None, ask: Callable[[str], bool] | None = No
             "this is not a device", where="--camera, --gripper", expected="a real or virtual device", found="sim"
         )
     plan = f"closes and opens with {CURRENT_MA} mA, {MOVE_S:g} s each"
-    require_arm(gripper, armed=params.arm, plan=plan, hint="doctor without --hardware moves nothing")
+    require_arm(gripper, armed=params.arm, plan=plan, hint="`evetac doctor` alone moves nothing")
     if gripper.has(Capability.HARDWARE) and not params.yes and ask is None:
         if not sys.stdin.isatty():
             raise InputError(
                 "the user cannot be asked before the gripper moves",
-                where="--hardware",
+                where="doctor hardware",
                 expected="a terminal, or --yes",
             )
         ask = _ask
@@ -144,12 +151,12 @@ def _write_report(path: Path, report: dict[str, Any]) -> None:
     made = {**time_host_versions(), "system": platform.platform(), **libraries}
     try:
         with taking_the_place_of(path) as temporary:
-            temporary.write_text(json.dumps({"command": "doctor --hardware", **report, "made": made}, indent=1) + "\n")
+            temporary.write_text(json.dumps({"command": "doctor hardware", **report, "made": made}, indent=1) + "\n")
     except InputError as error:
         console.say(f"{path}: the report could not be written: {error.message}")
 
 
-def show(result: Outcome) -> None:
+def show(result: Outcome, **_: Any) -> None:
     """Print what is wrong, how the check ended, and the path of the report; the steps were printed before."""
     for row in result.rows:
         if not row["ok"]:

@@ -1,4 +1,4 @@
-"""doctor --speed: measure in 15 to 40 s whether this computer is fast enough to record and grasp in real time.
+"""doctor speed: measure in 15 to 40 s whether this computer is fast enough to record and grasp in real time.
 
 The cores must wake on time. Then a whole grasp runs in real time for 10 s, to find how many events per second this
 computer can process: a virtual camera plays random events at a given rate. Each part has its own process, as in a grasp
@@ -23,12 +23,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.commands.doctor import Doctor
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.errors import EvetacError, InputError, attached_outcome
 from evetac_cli.events import FRAME_PX
-from evetac_cli.inspect.doctor import check, show
-from evetac_cli.jobs import Outcome, Progress, Row, silent
+from evetac_cli.inspect.doctor.checks import check, show
+from evetac_cli.jobs import Looking, Outcome, Progress, Row, silent
 from evetac_cli.realtime.processes import REALTIME, raised_priority
 from evetac_cli.trials.grasp.controller_process import PRIORITY
 from evetac_cli.trials.session import BEHIND_S
@@ -174,9 +173,12 @@ class Computer:
         )
 
 
-def run(
-    params: Doctor, computer: Computer | None = None, folder: Path | None = None, progress: Progress = silent
-) -> Outcome:
+def look(looking: Looking) -> Outcome:
+    """Measure this computer."""
+    return run(progress=looking.progress)
+
+
+def run(computer: Computer | None = None, folder: Path | None = None, progress: Progress = silent) -> Outcome:
     """Return a row for each part: the measurement, its limit, and what to do if it exceeds the limit.
 
     folder: on the disk to test; None: the current folder. The summary has the events per second that are processed in

@@ -4,7 +4,7 @@ A single HDF5 file that is being appended to is unreadable after a kill and dest
 is a separate small file, complete once it is renamed. So in any case only the last quarter of a second is lost, in wall
 time, plus slices that a late caller has not passed on. Trials that can be simulated again are written once
 (trial_writer.py). A left-over folder NAME.part/ means that a recording was interrupted; it has everything that
-`evetac repair` needs (recovery.py).
+`evetac validate --repair` needs (recovery.py).
 
 Segments are not compressed: this would take a tenth of the time in which they fill, at a million events per second, and
 the recorder must not leave its devices unread for that long. Each dataset has its CRC-32 instead, to detect damage.
@@ -43,7 +43,7 @@ STARTS = "ms_to_idx"
 BLOCK_ROWS = 1 << 16  # rows of lost slices written at a time
 WRITE_HINTS = {
     **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), "free some space on this disk"),
-    errno.ENOENT: "the folder was moved or removed during the recording; if moved, evetac repair recovers what it has",
+    errno.ENOENT: "the folder was moved or removed; if moved, evetac validate --repair recovers what it has",
 }
 STATIC = "static.h5"
 LATE = "late.h5"  # datasets known only at the end, of a recording that is to be joined later
@@ -149,13 +149,13 @@ class RecordingWriter:
         return self._segments
 
     def leave(self) -> None:
-        """Unlock the folder, whose contents wait for `evetac repair`; without a segment it is removed."""
+        """Unlock the folder, whose contents wait for `evetac validate --repair`; without a segment it is removed."""
         if self._segments == 0:
             self.discard()
         self._unlock()
 
     def leave_complete(self, late: Mapping[str, Any]) -> None:
-        """Close, and leave the folder with everything that `evetac repair` needs for the same result as `finish`."""
+        """Close, and leave the folder with what `evetac validate --repair` needs for the same result as `finish`."""
         self.close_segment()
         self._write(self.folder / LATE, late, {})
         self.leave()
@@ -219,7 +219,7 @@ def _refuse_segments(folder: Path) -> None:
         return
     if any(re.fullmatch(SEGMENT, file.name) for file in folder.iterdir()):
         message = "an interrupted recording is here, which cannot be made again"
-        hint = f"evetac repair {folder}, or use another name with -o"
+        hint = f"evetac validate --repair {folder}, or use another name with -o"
         raise InputError(message, where=str(folder), hint=hint)
 
 

@@ -225,7 +225,7 @@ def _speak_for_recorder(result: ControllerEnded, *, died: bool) -> None:
     """Report the torque state to the user if the recorder cannot, or not now."""
     with contextlib.suppress(OSError):  # there may be no terminal any more
         if died:
-            kept = "`evetac repair` completes the recording up to then"
+            kept = "`evetac validate --repair` completes the recording up to then"
             console.say(f"error: the recorder died; {result.torque}; {kept}")
         elif RECORDER_HANGS in result.ended:
             console.say(f"error: {result.ended}; {result.torque}")

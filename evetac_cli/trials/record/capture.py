@@ -3,7 +3,7 @@
 The camera sets the pace: its slices are written as they arrive. A thread of its own commands the gripper
 (current_ramp.py). When the time is over, Ctrl-C is pressed, the gripper has released the object, or a device fails, the
 result is a valid file. The file states why it ended, what was lost and how well time was kept. A full disk or a kill
-leaves a NAME.part/ for `evetac repair`.
+leaves a NAME.part/ for `evetac validate --repair`.
 
 Several cameras of one trial fill one file each. These share a trajectory id and store the offset between their clocks.
 The first camera leads: it determines the number of slices, and its file has the gripper.

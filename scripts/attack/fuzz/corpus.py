@@ -64,7 +64,7 @@ _RECORDING = (
     "label {f} --method event-count --out {o}/a.labels.h5",
     "featurize {f} --out {o}/a.features.h5",
     "trim {f} --from-ms 10 --to-ms 60 --out {o}/a.recording.h5",
-    "track-rgb {f} --out {o}/a.tracks.h5",
+    "track {f} --rgb --out {o}/a.tracks.h5",
     "export {f} --format dsec --out {o}/a.h5",
     "export {f} --format text --out {o}/a.txt",
     "export {f} --format aedat4 --out {o}/a.aedat4",

@@ -15,7 +15,7 @@ existing runs are not repeated. A row contains:
 - the share of a core that each process used.
 
 Before each run the script measures how late the machine itself wakes from sleeps of 1 ms, while this program is idle,
-at the priority of the control loops. Before the first run under a condition, `evetac doctor --speed` runs under the
+at the priority of the control loops. Before the first run under a condition, `evetac doctor speed` runs under the
 same condition, and its estimate is stored in every row.
 
 Conditions: quiet is this machine as it is; busy, with two loops that only compute; half, with each process held to half
@@ -87,8 +87,8 @@ def watched(
 
 
 def promise(checkout: Path, folder: Path, half: HalfSpeed | None) -> Row:
-    """Return the problems found by a checkout's doctor --speed, and its estimated events per second, if it has one."""
-    code, out, message, _ = watched(checkout, ["doctor", "--speed", "--json"], folder, half)
+    """Return the problems found by a checkout's doctor speed, and its estimated events per second, if it has one."""
+    code, out, message, _ = watched(checkout, ["doctor", "speed", "--json"], folder, half)
     try:
         result = json.loads(out)
     except ValueError:
@@ -193,7 +193,7 @@ def main() -> None:
     parser.add_argument("--events-per-s", type=int, nargs="+", default=[100_000, 300_000, 1_000_000])
     parser.add_argument("--condition", choices=CONDITIONS, nargs="+", default=["quiet"])
     parser.add_argument("--slip-threshold", type=float, default=0.2)
-    parser.add_argument("--no-doctor", action="store_true", help="do not run doctor --speed")
+    parser.add_argument("--no-doctor", action="store_true", help="do not run doctor speed")
     parser.add_argument("-o", "--out", type=Path, help="JSON lines, one per run; existing runs are not repeated")
     chosen = parser.parse_args()
     checkouts = [HERE, *([chosen.against.resolve()] if chosen.against else [])]

@@ -9,7 +9,7 @@ compared with the time at which the client sent it. One mark of each trial has n
 
 There are three kinds of kill. The connection is cut during a trial, and the client connects again. The client's process
 is killed (SIGKILL), and another client takes over. The server is killed (SIGKILL), a new one starts in the same folder,
-and `evetac repair` joins the segments.
+and `evetac validate --repair` joins the segments.
 
 A trial counts as kept if its file is valid, has a slice for each ms from the answer to `start` until `stop` was sent,
 and has all events in these slices. After a kill of the server, the last LOST_MS may be missing. After the trials, the
@@ -35,7 +35,7 @@ import numpy as np
 
 from evetac_cli.console import print_table
 from evetac_cli.events import FRAME_PX
-from evetac_cli.inspect import repair, validate
+from evetac_cli.inspect import validate
 from evetac_cli.store.recordings.read import open_recording
 from scripts.reproduce.facts import RESULTS
 from scripts.reproduce.made_tables import table_of, write
@@ -151,7 +151,7 @@ def trial(server: Server, name: str, kill: str, rng: np.random.Generator) -> Row
         server.kill()
         path = server.folder / f"{name}.recording.h5"
         began_of_camera_s = server.began_s
-        repair.run([path.with_name(f"{name}.recording.part")])
+        validate.repair([path.with_name(f"{name}.recording.part")])
         server.start()
     else:
         stopped_s = time.monotonic()

@@ -1,4 +1,4 @@
-"""doctor --compile: afterwards no command compiles anything, and a command that fails is named."""
+"""doctor compile: afterwards no command compiles anything, and a command that fails is named."""
 
 import os
 import re
@@ -70,7 +70,7 @@ def test_after_it_no_command_compiles(tmp_path: Path) -> None:
         return done.stderr.splitlines()[-1].split(maxsplit=2)[1:]
 
     assert compiled(["evetac", "track", "--help"], tmp_path) == ["0"]
-    subprocess.run([sys.executable, "-m", "evetac_cli", "doctor", "--compile"], env=environment, check=True)
+    subprocess.run([sys.executable, "-m", "evetac_cli", "doctor", "compile"], env=environment, check=True)
     for name, commands in (("readme", readme_commands()), ("demo", demo_commands())):
         folder = tmp_path / name
         folder.mkdir()

@@ -118,7 +118,7 @@ def test_a_good_camera_is_well(machine: Made, monkeypatch: pytest.MonkeyPatch, f
     ("faults", "options", "check", "fix"),
     [
         (["usb2"], {}, "link", "USB 3 port"),
-        (["no-permission"], {}, "permission", "doctor --print-udev | sudo tee"),
+        (["no-permission"], {}, "permission", "doctor udev | sudo tee"),
         (["busy"], {}, "busy", "fuser"),
         ([], {"board": 2}, "model", "record with iniVation"),
         ([], {"firmware": 5}, "firmware", "update it"),
@@ -375,7 +375,7 @@ def test_what_is_no_serial_port(machine: Made, tmp_path: Path, monkeypatch: pyte
 
 
 def test_from_the_command_line(monkeypatch: pytest.MonkeyPatch, machine: Made) -> None:
-    """Assert exit codes 0 and 3, flat rows as JSON, and that --print-udev prints rules and nothing else."""
+    """Assert exit codes 0 and 3, flat rows as JSON, that `udev` prints rules and nothing else, and flags come last."""
     monkeypatch.setattr(doctor, "Host", lambda: machine)
     fine = CliRunner().invoke(app, ["doctor", "--json"])
     assert fine.exit_code == 0, fine.output
@@ -386,10 +386,11 @@ def test_from_the_command_line(monkeypatch: pytest.MonkeyPatch, machine: Made) -
     ill = CliRunner().invoke(app, ["doctor"])
     assert ill.exit_code == 3
     assert "WRONG" in ill.stdout and "1 wrong" in ill.stdout and "try: use a USB 3 port" in ill.stdout
-    rules = CliRunner().invoke(app, ["doctor", "--print-udev"])
+    rules = CliRunner().invoke(app, ["doctor", "udev"])
     assert rules.exit_code == 0
-    answer = json.loads(CliRunner().invoke(app, ["doctor", "--print-udev", "--json"]).stdout)
+    answer = json.loads(CliRunner().invoke(app, ["doctor", "udev", "--json"]).stdout)
     assert answer["summary"]["udev"] == rules.stdout.removesuffix("\n")
+    assert CliRunner().invoke(app, ["doctor", "--json", "udev"]).exit_code == 2
     lines = [line for line in rules.stdout.splitlines() if not line.startswith("#")]
     assert len(lines) == 2 and '"152a"' in lines[0] and 'latency_timer}="1"' in lines[1]
     assert all(part.count('"') == 2 for line in lines for part in line.split(", "))

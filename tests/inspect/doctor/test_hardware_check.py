@@ -1,4 +1,4 @@
-"""doctor --hardware on virtual devices: all steps, and for each fault the step that finds it, with torque off."""
+"""doctor hardware on virtual devices: all steps, and for each fault the step that finds it, with torque off."""
 
 import json
 from pathlib import Path
@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
-from evetac_cli.commands.doctor import Doctor
+from evetac_cli.commands.doctor import DoctorHardware
 from evetac_cli.devices import grippers
 from evetac_cli.devices.virtual.gripper import VirtualGripper
 from evetac_cli.devices.virtual.servo_plant import Obstacle
@@ -35,7 +35,7 @@ def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
 def tried(folder: Path, gripper: str, ask: Any = None, **flags: Any) -> tuple[Outcome, dict[str, Any]]:
     """What came of it, and the report."""
     out = folder / "report.json"
-    outcome = run(Doctor(hardware=True, gripper=gripper, **flags), out, ask)
+    outcome = run(DoctorHardware(gripper=gripper, **flags), out, ask)
     return outcome, json.loads(out.read_text())
 
 
@@ -159,7 +159,7 @@ def test_ctrl_c_leaves_a_report_and_no_torque(tmp_path: Path) -> None:
 def test_what_is_refused(flags: dict[str, Any], words: str, tmp_path: Path) -> None:
     """Assert that it is refused before anything is opened or written."""
     with pytest.raises(InputError, match=words):
-        run(Doctor(hardware=True, **flags), tmp_path / "report.json")
+        run(DoctorHardware(**flags), tmp_path / "report.json")
     assert not list(tmp_path.iterdir())
 
 
@@ -168,14 +168,14 @@ def test_a_report_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "report.json").write_text("kept")
     for out in (tmp_path / "report.json", tmp_path / "none" / "report.json"):
         with pytest.raises(InputError, match="report cannot be written"):
-            run(Doctor(hardware=True, gripper="virtual"), out)
+            run(DoctorHardware(gripper="virtual"), out)
     assert (tmp_path / "report.json").read_text() == "kept"
 
 
 def test_from_the_command_line(tmp_path: Path) -> None:
-    """Assert exit codes 3 and 2, the steps on stderr, and that flags of --hardware need it."""
+    """Assert exit codes 3 and 2, the steps on stderr, and that flags of this part are of no other."""
     out = str(tmp_path / "report.json")
-    shown = CliRunner().invoke(app, ["doctor", "--hardware", "--gripper", "virtual:overload", "-o", out])
+    shown = CliRunner().invoke(app, ["doctor", "hardware", "--gripper", "virtual:overload", "-o", out])
     assert shown.exit_code == 3, shown.output
     assert "stopped at: hardware error" in shown.stdout and out in shown.stdout
     assert "expected every register can be read" in shown.stderr

@@ -1,4 +1,4 @@
-"""doctor --speed, on computers made up of figures: what is asked of each part, and what is advised where it is slow."""
+"""doctor speed, on computers made up of figures: what is asked of each part, and what is advised where it is slow."""
 
 import json
 import os
@@ -11,7 +11,6 @@ import pytest
 from typer.testing import CliRunner
 
 from evetac_cli.cli.main import app
-from evetac_cli.commands.doctor import Doctor
 from evetac_cli.errors import InputError
 from evetac_cli.inspect.doctor import speed
 from evetac_cli.inspect.doctor.speed import Computer, Tried, WakeUps
@@ -57,7 +56,7 @@ class Made(Computer):
 
 def wrong(**figures: Any) -> dict[str, dict[str, Any]]:
     """The checks that are not passed by a computer that differs so from one within all limits."""
-    result = speed.run(Doctor(speed=True), Made(**figures))
+    result = speed.run(Made(**figures))
     failed = {row["check"]: row for row in result.rows if row["ok"] is False}
     assert result.summary["wrong"] == len(failed)
     return failed
@@ -65,7 +64,7 @@ def wrong(**figures: Any) -> dict[str, dict[str, Any]]:
 
 def test_at_the_limits_a_computer_is_fast_enough(capsys: pytest.CaptureFixture[str]) -> None:
     assert wrong() == {}
-    speed.show(speed.run(Doctor(speed=True), Made()))
+    speed.show(speed.run(Made()))
     shown = capsys.readouterr().out
     assert "WRONG" not in shown
     assert "no faults found" in shown
@@ -112,13 +111,13 @@ def test_this_computer_is_measured_and_left_as_it_was(tmp_path: Path) -> None:
 
 def test_the_command_measures_and_ends_with_3_where_something_is_too_slow(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(speed, "Computer", Made)
-    fine = CliRunner().invoke(app, ["doctor", "--speed", "--json"])
+    fine = CliRunner().invoke(app, ["doctor", "speed", "--json"])
     assert (fine.exit_code, json.loads(fine.stdout)["summary"]) == (0, {"wrong": 0, "judged_events_per_s": 1_000_000})
     monkeypatch.setattr(speed, "Computer", lambda: Made(cores=[1]))
-    slow = CliRunner().invoke(app, ["doctor", "--speed"])
+    slow = CliRunner().invoke(app, ["doctor", "speed"])
     assert slow.exit_code == 3
     assert "WRONG for this program" in slow.stdout
-    unwritable = speed.run(Doctor(speed=True), Made(fails=InputError("no room")))
+    unwritable = speed.run(Made(fails=InputError("no room")))
     assert unwritable.summary == {"wrong": 0, "judged_events_per_s": None}
     assert unwritable.rows[-1]["found"] == "not tried: no room"
 
@@ -137,7 +136,6 @@ def test_what_is_said_to_be_judged_was_tried(bears: int, tried: list[int], judge
     """Assert that rates are tried until one is fine, that each is said to be fine or not, and the highest is judged."""
     reported = set()
     result = speed.run(
-        Doctor(speed=True),
         Made(bears=bears),
         progress=lambda done, total, doing="": reported.add((total, doing)),
     )

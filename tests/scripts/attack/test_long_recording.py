@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.events import SLICE_US
-from evetac_cli.inspect import repair, validate
+from evetac_cli.inspect import validate
 from evetac_cli.store.recordings.read import open_recording
 from scripts.attack.long_recording import Repeated
 from tests.conftest import Made
@@ -48,6 +48,6 @@ def test_its_segments_are_repaired(repeated: Repeated, tmp_path: Path) -> None:
     """Assert that the folder of the same recording, as one that broke off leaves it, is made whole."""
     slices = repeated.slices + 3
     repeated.leave_segments(tmp_path / "broken.recording.h5", slices)
-    (row,) = repair.run([tmp_path / "broken.recording.part"]).rows
+    (row,) = validate.repair([tmp_path / "broken.recording.part"]).rows
     assert row["fault"] is None
     assert row["slices_kept"] == slices

@@ -9,9 +9,10 @@ import pytest
 
 import evetac_cli
 from evetac_cli import resources
-from evetac_cli.cli import main
+from evetac_cli.commands import EVERY
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.train_force import TrainForce
+from evetac_cli.evaluate.subjects import SUBJECTS
 from evetac_cli.kernels.grip.control import LAWS, make_law
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.training import ADAPT, PRESETS
@@ -43,10 +44,7 @@ def choices(of: type, name: str) -> set[str]:
 
 def test_every_command_and_option_has_a_place(every: dict[str, str]) -> None:
     """Assert that each command of the program has a page that names all of its options and files."""
-    alone = {command.name for command in main.app.registered_commands}
-    (judged,) = (group.typer_instance for group in main.app.registered_groups)
-    judging = {f"evaluate {command.name}" for command in judged.registered_commands}
-    assert set(command_pages.every_command()) == alone | judging
+    assert set(command_pages.every_command()) == {*EVERY, *(f"evaluate {subject.name}" for subject in SUBJECTS)}
     for name, command in command_pages.every_command().items():
         text = every[f"commands/{command_pages.page_name(name)}"]
         assert text.startswith(f"{page_text.MADE}# evetac {name}\n")

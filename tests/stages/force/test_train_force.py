@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from evetac_cli.commands.predict_touch import PredictTouch
-from evetac_cli.commands.track_rgb import TrackRgb
+from evetac_cli.commands.track import Track
 from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate.force import EvaluateForce
 from evetac_cli.evaluate.force import measure as evaluate_force
 from evetac_cli.inspect import info
-from evetac_cli.stages import track_rgb
+from evetac_cli.stages import track
 from evetac_cli.stages.force import train_force
 from evetac_cli.stages.touch import predict_touch
 from evetac_cli.store.files import StageFile
@@ -53,7 +53,7 @@ def fits(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three trials to fit on and one apart, their tracks from events and from frames, and a model for each sensor."""
     folder = tmp_path_factory.mktemp("force")
     tracks = [tracks_of_shear(folder, number) for number in range(4)]
-    frames = [run_valid(track_rgb, [folder / f"trial{number}.recording.h5"], TrackRgb())[0] for number in range(4)]
+    frames = [run_valid(track, [folder / f"trial{number}.recording.h5"], Track(rgb=True))[0] for number in range(4)]
     run_valid(train_force, tracks[:3], FIT, folder / "events.force-model.h5")
     run_valid(train_force, frames[:3], FIT, folder / "frames.force-model.h5")
     return folder
@@ -219,7 +219,7 @@ def test_what_cannot_be_answered(fits: Path, tmp_path: Path) -> None:
     refused(evaluate_force, [fits / "trial3.tracks.h5"], EvaluateForce(model=model), "too short", tmp_path)
     real = tracks_of_shear(tmp_path, 9, truth=False)
     refused(evaluate_force, [real], EvaluateForce(model=model), "has no truth", tmp_path)
-    refused(track_rgb, [tmp_path / "trial9.recording.h5"], TrackRgb(), "has no truth", tmp_path)
+    refused(track, [tmp_path / "trial9.recording.h5"], Track(rgb=True), "has no truth", tmp_path)
 
 
 def test_damaged_network_is_refused(fits: Path, tmp_path: Path) -> None:

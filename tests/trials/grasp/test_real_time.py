@@ -267,7 +267,7 @@ def test_a_full_disk(armed: tuple[Grasp, DeviceTrial], recorder_is: Callable[[An
         raise InputError("a segment cannot be written")
 
     recorder_is(fails)
-    with pytest.raises(InputError, match="cannot be written(.|\n)*evetac repair"):
+    with pytest.raises(InputError, match="cannot be written(.|\n)*evetac validate --repair"):
         grasp.run(armed[1], armed[0])
     assert GraspProcesses.closed
     GraspProcesses.closed = 0

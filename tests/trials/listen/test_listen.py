@@ -21,7 +21,7 @@ from evetac_cli.devices import cameras
 from evetac_cli.devices.cameras import CameraSettings, NamedCamera, OpenedCamera
 from evetac_cli.errors import DeviceError
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.inspect import info, repair, validate
+from evetac_cli.inspect import info, validate
 from evetac_cli.names import Capability
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.read import open_recording
@@ -268,7 +268,7 @@ def test_marks_survive_a_kill_of_the_recorder(tmp_path: Path) -> None:
     writer.append_rows(mark_row(1200, "late"))
     writer.close_segment()
     writer.leave()
-    repair.run([writer.folder])
+    validate.repair([writer.folder])
     assert validate.run([path]).rows[0]["faults"] is None
     with open_recording(path) as recording:
         assert recording.marks == [Mark(0, 400, "first"), Mark(1, 1200, "late")]

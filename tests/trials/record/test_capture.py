@@ -20,7 +20,7 @@ from evetac_cli.devices import GripperReading, Rig
 from evetac_cli.devices.opening import open_rig
 from evetac_cli.errors import DeviceError, InputError
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.inspect import repair, validate
+from evetac_cli.inspect import validate
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.files import StageFile, header_of
 from evetac_cli.store.recordings import segments
@@ -231,9 +231,9 @@ def test_failing_end_keeps_the_segments(
     rig_is(Camera())
     with monkeypatch.context() as broken:
         broken.setattr(segments, "join", fail)
-        with pytest.raises(type(failure), match="for `evetac repair`"):
+        with pytest.raises(type(failure), match="for `evetac validate --repair`"):
             recording(tmp_path, seconds=0.1)
-    assert repair.run([tmp_path]).rows[0]["slices_kept"] == 100
+    assert validate.repair([tmp_path]).rows[0]["slices_kept"] == 100
 
 
 def test_calibration_is_stored(rig_is: Callable[..., Rig], tmp_path: Path) -> None:
@@ -554,9 +554,9 @@ def test_full_disk(tmp_path: Path) -> None:
     said = run.stderr
     assert run.returncode == 2, said
     assert "File too large" in said
-    assert f"{output.with_suffix('.part')}, for `evetac repair`" in said
+    assert f"{output.with_suffix('.part')}, for `evetac validate --repair`" in said
     assert not output.exists()
-    (row,) = repair.run([tmp_path]).rows
+    (row,) = validate.repair([tmp_path]).rows
     assert row["status"] == "repaired"
     assert row["slices_kept"] == 400
     assert faults(output) is None
@@ -575,10 +575,10 @@ def test_h2_ctrl_c_while_the_file_is_joined_keeps_the_segments(
     rig = rig_is(Camera())
     with monkeypatch.context() as joining:
         joining.setattr(segments, "join", interrupted)
-        with pytest.raises(KeyboardInterrupt, match="for `evetac repair`"):
+        with pytest.raises(KeyboardInterrupt, match="for `evetac validate --repair`"):
             recording(tmp_path, seconds=0.1)
     assert rig.camera.closed
-    assert repair.run([tmp_path]).rows[0]["slices_kept"] == 100
+    assert validate.repair([tmp_path]).rows[0]["slices_kept"] == 100
 
 
 def test_the_button_of_a_live_view_lets_go(
@@ -619,12 +619,12 @@ def test_h2_ctrl_c_leaves_a_long_recording_to_repair_with_all_that_is_known_of_i
 ) -> None:
     """Assert that what takes long to join stays as segments, and that repair makes the file that joining had made."""
     rig_is(InterruptedCamera())
-    with monkeypatch.context() as long, pytest.raises(KeyboardInterrupt, match="100 slices in .*for `evetac repair`"):
+    with monkeypatch.context() as long, pytest.raises(KeyboardInterrupt, match="100 slices in .*for `evetac validate"):
         long.setattr(session, "JOINED_AT_ONCE_EVENTS", 999)
         recording(tmp_path)
     (folder,) = tmp_path.iterdir()
     assert folder.name.endswith(".recording.part")
-    (row,) = repair.run([tmp_path]).rows
+    (row,) = validate.repair([tmp_path]).rows
     assert (row["status"], row["slices_kept"], row["slices_lost"], row["fault"]) == ("repaired", 100, 0, None)
     (output,) = tmp_path.iterdir()
     assert faults(output) is None
@@ -653,11 +653,11 @@ def test_thousands_of_slices_behind_schedule_and_a_full_disk(
     camera = Camera()
     monkeypatch.setattr(time, "sleep", lambda seconds: None)  # its slices come at once, as after a stop
     rig_is(camera)
-    with pytest.raises(InputError, match="No space left(.|\n)*for `evetac repair`"):
+    with pytest.raises(InputError, match="No space left(.|\n)*for `evetac validate --repair`"):
         recording(tmp_path, seconds=9.0)
     assert waiting == [0, 20_000, 20_000, 20_000]
     assert camera.closed
-    assert repair.run([tmp_path]).rows[0]["slices_kept"] == 6000
+    assert validate.repair([tmp_path]).rows[0]["slices_kept"] == 6000
 
 
 def test_slices_of_another_camera_wait_in_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:
