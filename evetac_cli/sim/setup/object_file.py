@@ -22,6 +22,7 @@ Shape = Literal["flat", "cylinder", "sphere"]
 SUFFIX = ".toml"
 UNNAMED = "own-object"  # name in recordings of an object whose file has no `name`
 HELD = ("mass_g", "width_mm", "height_mm")  # additional keys that an object needs if a gripper holds it
+MOST_FRICTION = 5.0  # largest static friction of an object from a file
 SLIPPERIEST = 0.05  # least static friction of a gripped object: below, no real gripper has the necessary force
 WIDEST_MM = 104.8  # width of the widest object that fits between the fingers
 LIGHTEST_G_CM3 = 0.005  # of the box around an object: half as dense as the lightest foam; a mass in kg is below it
@@ -69,7 +70,7 @@ class ObjectFile(TouchedObject):
     #: name of the object in recordings
     name: Annotated[str, Meta(max_length=40, pattern="^[a-z][a-z0-9-]{0,39}$")] | None = None
     #: static friction on the gel; a scene may vary it by a random factor
-    static_friction: Annotated[float, Meta(ge=0, le=5)]
+    static_friction: Annotated[float, Meta(ge=0, le=MOST_FRICTION)]
 
     @property
     def object(self) -> TouchedObject:
@@ -98,8 +99,9 @@ def read(path: Path) -> tuple[str, TouchedObject]:
             found=f"{read_object.held_mm:g} mm",
         )
     if read_object.static_friction < SLIPPERIEST:
-        expected, friction = f"{SLIPPERIEST:g} to 5, for fingers to hold it", f"{read_object.static_friction:g}"
-        raise InputError("static_friction: out of range", where=where, expected=expected, found=friction)
+        expected = f"{SLIPPERIEST:g} to {MOST_FRICTION:g}, for fingers to hold it"
+        found = f"{read_object.static_friction:g}"
+        raise InputError("static_friction: out of range", where=where, expected=expected, found=found)
     depth_mm = read_object.depth_mm or read_object.held_mm
     lightest_g = LIGHTEST_G_CM3 * 1e-3 * read_object.held_mm * read_object.height_mm * depth_mm
     if read_object.mass_g < lightest_g:
