@@ -150,3 +150,14 @@ def test_help_says_of_folders_what_is_done_with_them(path: list[str], command: C
         place = ["model"] if path == ["evaluate", "cost"] else []  # what comes before the files
         refused = evetac(*path, *place, str(tmp_path))
         assert f"*.{command.kind}.h5" in refused.stderr
+
+
+@pytest.mark.parametrize("words", [*IDS, "report", "share", "info", "validate", "repair"])
+def test_every_command_explains_its_columns(words: str) -> None:
+    """Assert that `--legend` needs no files, and says the meaning of each column in a sentence."""
+    shown = evetac(*words.split(), "--legend", "--json")
+    assert shown.exit_code == 0, shown.output
+    rows = json.loads(shown.stdout)["rows"]
+    assert rows and len({row["column"] for row in rows}) == len(rows)
+    assert [row for row in rows if not re.fullmatch(r"[A-Z1].*\.", row["meaning"])] == []
+    assert evetac(*words.split(), "--legend").stdout.startswith(f"{words} --legend")
