@@ -7,11 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import evetac_cli as evetac
-from evetac_cli.cli.main import app
-from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.record import Record
 from evetac_cli.errors import InputError
 from evetac_cli.resources import PACKAGE, schemas
@@ -21,7 +18,7 @@ from evetac_cli.sim.setup.plan import named_objects
 from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.store.files import StageFile
 from evetac_cli.text_files import as_toml
-from evetac_cli.trials import grasp, record
+from evetac_cli.trials import record
 
 CAN = {"shape": "cylinder", "mass_g": 350, "width_mm": 66, "height_mm": 115, "static_friction": 0.8}
 COARSE = {"node_pitch_mm": 1.667}
@@ -100,22 +97,6 @@ def test_kinetic_share_of_the_object_holds(tmp_path: Path, short_scene: Path) ->
         sampled = json.loads(devices.sampled)
         assert sampled["kinetic_friction"] == pytest.approx(sampled["static_friction"] * expected)
         devices.close()
-
-
-def test_grasp_takes_it(tmp_path: Path) -> None:
-    """Assert that a grasp of it is written under its name, reported by object and found by `info --where object=`."""
-    params = Grasp(
-        objects=str(written(tmp_path, name="tin", mass_g=40)), controller="fixed:5", lift_s=1.0, balance_s=0.1,
-        node_pitch_mm=2.5,
-    )  # fmt: skip
-    (job,) = grasp.jobs([], params, tmp_path / "grasps")
-    assert job.output.name == "lift-tin-s0-000.recording.h5"
-    grasp.run(job, params)
-    run = CliRunner().invoke(app, ["evaluate", "grasp", str(job.output), "--json", "-o", str(tmp_path / "r.report.h5")])
-    assert run.exit_code == 0, run.stderr
-    assert {row["object"] for row in json.loads(run.stdout)["rows"] if "object" in row} == {"tin"}
-    listed = CliRunner().invoke(app, ["info", str(tmp_path / "grasps"), "--where", "object=tin", "--json"])
-    assert json.loads(listed.stdout)["summary"]["fit"] == 1
 
 
 def test_a_touch_sensor_takes_the_same_keys() -> None:
