@@ -68,7 +68,6 @@ class Looking(NamedTuple):
     params: Any
     out: Path | None
     quiet: bool
-    verbose: bool
     progress: Progress
     errors: list[EvetacError]
 

@@ -69,9 +69,7 @@ def _look(command: Command, title: str, flag_values: dict[str, Any]) -> None:
         errors: list[EvetacError] = []
         with console.progress_bar(title, command.unit, quiet=running.quiet or not command.unit) as progress:
             files = partial(execution.with_folders, paths)
-            result: Outcome = module.look(
-                Looking(paths, files, params, running.out, running.quiet, running.verbose, progress, errors)
-            )
+            result: Outcome = module.look(Looking(paths, files, params, running.out, running.quiet, progress, errors))
         looked.results |= {Path(): result, **{Path(f"{number}"): error for number, error in enumerate(errors)}}
         if running.as_json and not errors:
             console.show(title, result.rows, result.summary, simulated=result.simulated, as_json=True)

@@ -4,14 +4,12 @@ import json
 import re
 import shutil
 from pathlib import Path
-from typing import Any
 
 import pytest
-import typer
 from typer.testing import CliRunner, Result
 
 from evetac_cli.cli.main import app
-from evetac_cli.commands import EVERY, FORMER, GROUPS, Command
+from evetac_cli.commands import EVERY, FORMER, Command
 from evetac_cli.commands.parameter import EXPERTS
 from evetac_cli.evaluate.subjects import SUBJECTS
 from tests.conftest import Made
@@ -61,7 +59,7 @@ def test_a_former_name_is_answered_with_the_one_of_now(former: str) -> None:
 
 @pytest.mark.parametrize(("path", "command"), COMMANDS, ids=IDS)
 def test_help_is_without_noise_and_has_examples(path: list[str], command: Command) -> None:
-    """Assert that no switch has a type or its `--no-`, no line is too wide, and there are examples of this command."""
+    """Assert that no switch has a type or its `--no-`, no line is too wide, and examples have flags of this command."""
     text = evetac(*path, "--help").stdout
     assert "<bool>" not in text
     assert "--no-" not in text.replace("--no-FLAG", "")
@@ -70,13 +68,6 @@ def test_help_is_without_noise_and_has_examples(path: list[str], command: Comman
     for example in command.examples:
         assert example.startswith(f"evetac {' '.join(path)}")
         assert example in " ".join(text.split())
-
-
-@pytest.mark.parametrize(("path", "command"), COMMANDS, ids=IDS)
-def test_examples_are_understood(path: list[str], command: Command) -> None:
-    """Assert that every flag of an example is one of the command."""
-    text = evetac(*path, "--help").stdout
-    for example in command.examples:
         for flag in re.findall(r"(?<!\S)--?[a-z][\w-]*", example):
             assert re.search(rf"[│ ]{flag} ", text[text.index("╭") :]), (example, flag)
 
@@ -96,33 +87,6 @@ def test_a_flag_given_twice_is_refused(arguments: list[str]) -> None:
     assert result.exit_code == 2
     assert "is given 2 times" in " ".join(result.stderr.replace("│", " ").split())
     assert evetac("record", "--help", "-h").exit_code == 0
-
-
-def test_switches_of_a_command_are_whole_after_its_help() -> None:
-    """Assert that help, which leaves `--no-` out, does not take it away."""
-    assert evetac("record", "--help").exit_code == 0
-    result = evetac("record", "--no-sort", "--from", str(Path("none.txt")))
-    assert "No such option" not in result.stderr
-    assert "none.txt" in result.stderr
-
-
-def every_command() -> dict[str, Any]:
-    """All commands by the words that call them."""
-    root: Any = typer.main.get_command(app)
-    found = {name: command for name, command in root.commands.items() if name != "evaluate"}
-    inside = {
-        f"{group} {name}": root.commands[group].commands[name]
-        for group in GROUPS
-        for name in root.commands[group].commands
-    }
-    return found | inside
-
-
-@pytest.mark.parametrize("name", every_command())
-def test_every_command_can_be_quiet_and_say_more(name: str) -> None:
-    """Assert that -q, -v and --json are flags of each command, those that only look at files included."""
-    names = {option for flag in every_command()[name].params for option in flag.opts}
-    assert {"-q", "--quiet", "-v", "--verbose", "--json"} <= names
 
 
 @pytest.mark.parametrize("words", [["info"], ["validate"], ["validate", "--repair"]])
@@ -152,7 +116,7 @@ def test_help_says_of_folders_what_is_done_with_them(path: list[str], command: C
         assert f"*.{command.kind}.h5" in refused.stderr
 
 
-@pytest.mark.parametrize("words", [*IDS, "report", "share", "info", "validate", "repair"])
+@pytest.mark.parametrize("words", IDS)
 def test_every_command_explains_its_columns(words: str) -> None:
     """Assert that `--legend` needs no files, and says the meaning of each column in a sentence."""
     shown = evetac(*words.split(), "--legend", "--json")
