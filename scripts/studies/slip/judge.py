@@ -53,7 +53,6 @@ def main() -> None:
     parser.add_argument("--motions", default="", help="only these, for example pushes,jerks; writes only rows")
     parser.add_argument("--rows", type=Path, required=True, help="folder of the rows, one file per motion")
     parser.add_argument("--model", nargs="*", default=[], metavar="NAME=FILE", help="trained slip detectors")
-    parser.add_argument("--ideas", action="store_true", help="models are named IDEA/SEED; compare ideas in one table")
     parser.add_argument("--name", default="slip-detectors", help="name of the tables")
     parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the tables")
     chosen = parser.parse_args()
@@ -89,9 +88,6 @@ def main() -> None:
     command = " ".join([*words, f"--rows FOLDER --name {chosen.name}"])
     at = slip_tables.thresholds() | {name: slip_tables.thresholds_of(model.path) for name, model in models.items()}
     given = (rows, at)
-    if chosen.ideas:
-        write(chosen.out, slip_tables.ideas_table(chosen.name, *given, command))
-        return
     tables = [slip_tables.timing_table(f"{chosen.name}-timing", *given, command)]
     tables += [slip_tables.warning_table(f"{chosen.name}-{rule}", *given, rule, command) for rule in RULES]
     shown = ["ahead 10 ms", *models]
