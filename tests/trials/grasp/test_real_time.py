@@ -34,6 +34,7 @@ from evetac_cli.trials.grasp.recorded_grasp import RecordedGrasp
 from evetac_cli.trials.grasp.recorder import GraspRecorder
 from evetac_cli.trials.session import LET_GO
 from evetac_cli.trials.trial import DeviceTrial
+from tests.make import assert_explained
 from tests.trials.grasp.bench import goals_by_law
 from tests.trials.live_view.fake_view import FakeView
 
@@ -186,11 +187,10 @@ def test_a_file_says_how_time_was_kept(
     armed: tuple[Grasp, DeviceTrial],
     recorder_is: Callable[[Any], None],
     capsys: pytest.CaptureFixture[str],
-    explained: Callable[[str, str], set[str]],
 ) -> None:
     """Assert that misses, latency, losses and scheduling are in file and row, and that both processes are ended.
 
-    The docs explain each figure of the row.
+    The legend explains each figure of the row.
     """
     recorder_is(lambda self: some(self.writers[0], "the grasp is over"))
     row = grasp.run(armed[1], armed[0]).rows[0]
@@ -202,7 +202,7 @@ def test_a_file_says_how_time_was_kept(
     assert row["late_slices"] == 0
     assert row["too_slow"].startswith("this computer was too slow: 3 of 5 commands were missed")
     assert row["too_slow"] in capsys.readouterr().err.splitlines()
-    assert {*row} - {"output", "status"} <= explained("hardware.md", "Figures of a grasp")
+    assert_explained("grasp", [row])
     with open_recording(armed[1].output) as file:
         assert file.read("capture/latency_us").tolist() == [2500.0] * 3
         assert file.read("capture/slice_late_us").tolist() == [600.0] * 3
