@@ -67,7 +67,7 @@ def test_a_target_sets_up_what_it_needs(target: str) -> None:
     The documentation needs no kernels.
     """
     lines = planned(target).splitlines()
-    steps = ("-m venv", "pip install") if target == "docs" else ("-m venv", "pip install", "--compile")
+    steps = ("-m venv", "pip install") if target == "docs" else ("-m venv", "pip install", "doctor compile")
     places = [next(at for at, line in enumerate(lines) if what in line) for what in steps]
     assert places == sorted(places) and places[0] == 0
     installs = [line for line in lines if "pip install" in line]

@@ -1,20 +1,13 @@
-"""Count the sentences of pages of results whose decimal figures come from no table, and list them.
-
-    python scripts/docs/figures.py                  # one row per page
-    python scripts/docs/figures.py --list docs/evidence/results.md
+"""Find the sentences of pages of results whose decimal figures come from no table; a test asserts that there are none.
 
 A comment above a paragraph names the figures that it quotes: `<!-- figure TABLE {"COLUMN": VALUE} COLUMN:FORMAT -->`,
 with values that select a row of docs/results/TABLE.json. `<!-- given 0.5 -->` names figures that are no results, such
-as a definition or a setting. A sentence counts as `marked` if each of its decimal figures is one of these, and as
-`given` if none is a result. Tables, code, headings and alternative texts of pictures are not counted: tables are made
+as a definition or a setting. Tables, code, headings and alternative texts of pictures are left out: tables are made
 from the same files.
 """
 
-import argparse
 import json
 import re
-import sys
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,9 +23,6 @@ MARK = re.compile(r"<!-- figure ([\w/-]+) ({.*?}) (\w[\w ]*?)(?::(\S+))? -->")
 GIVEN = re.compile(r"<!-- given ([\d. ]+) -->")
 DECIMAL = re.compile(r"(?<![\w.])(?<!Python )(?<!arXiv[ :])\d+\.\d+(?!\.?\d|\w)")
 MADE = re.compile(r"<!-- (?:table|measured) ([\w-]+) -->.*?<!-- end of \1 -->", re.DOTALL)
-
-
-KINDS = ("marked", "given", "from no table")
 
 
 class Figure(NamedTuple):
@@ -56,11 +46,10 @@ class Figure(NamedTuple):
 
 
 class Sentence(NamedTuple):
-    """A sentence with decimal figures. marked: whether one is a table's; unmarked: those that have no mark."""
+    """A sentence with decimal figures, and those of them that have no mark."""
 
     page: str
     words: str
-    marked: bool
     unmarked: list[str]
 
 
@@ -109,32 +98,4 @@ def sentences(name: str, page: str, results: Path = RESULTS) -> Iterator[Sentenc
         for words in re.split(r"(?<=[.!?:])\s+(?=[A-Z*\[])|\n(?=\||- )", plain):
             if decimals := DECIMAL.findall(words):
                 unmarked = [one for one in decimals if one not in known | given]
-                marked = any(one in known for one in decimals)
-                yield Sentence(name, " ".join(words.split()), marked, unmarked)
-
-
-def kind_of(sentence: Sentence) -> str:
-    """Return one of KINDS."""
-    return KINDS[2] if sentence.unmarked else KINDS[0] if sentence.marked else KINDS[1]
-
-
-def main() -> None:
-    """Print the counts of all pages, or the sentences of one."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--list", metavar="PAGE", help="print the sentences of a page with figures from no table")
-    chosen = parser.parse_args()
-    if chosen.list:
-        for sentence in sentences(chosen.list, (ROOT / chosen.list).read_text()):
-            if sentence.unmarked:
-                print(f"{', '.join(sentence.unmarked)}: {sentence.words}")
-        return
-    totals = Counter[str]()
-    for name in PAGES:
-        counts = Counter(kind_of(one) for one in sentences(name, (ROOT / name).read_text()))
-        totals += counts
-        print(f"{name:26}" + "".join(f"   {kind} {counts[kind]:4}" for kind in KINDS))
-    print(f"{'all':26}" + "".join(f"   {kind} {totals[kind]:4}" for kind in KINDS))
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+                yield Sentence(name, " ".join(words.split()), unmarked)

@@ -13,7 +13,7 @@ from evetac_cli.commands import EVERY
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.evaluate.subjects import SUBJECTS
-from evetac_cli.kernels.grip.control import LAWS, make_law
+from evetac_cli.kernels.grip.control import LAWS
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.training import ADAPT, PRESETS
 from evetac_cli.kernels.tracking import presets
@@ -87,12 +87,6 @@ def test_every_name_has_a_section(every: dict[str, str], page: str, names: set[s
     assert names - headings(every[page]) == set()
 
 
-def test_controllers_of_the_page_are_all_there_are() -> None:
-    """Assert that no other name makes a law: an unknown one is refused with the list that the page has."""
-    with pytest.raises(ValueError, match="expected paper, paper-reset, load-proportional, none or fixed:N, found"):
-        make_law("unheard-of")
-
-
 def test_every_part_has_a_section_and_keys(every: dict[str, str]) -> None:
     """Assert that parts of scenes and sensors have sections, whose keys are those of the schemas."""
     assert {part.NAME for part in PARTS} - headings(every["parts.md"]) == set()
@@ -140,13 +134,6 @@ def test_snippets_run(every: dict[str, str], tmp_path: Path, monkeypatch: pytest
             if "frame" in names:
                 assert len(names["frame"]) > 0
     assert ran == 1 + 3 * len(schema.KINDS)
-
-
-def test_snippets_that_nobody_ran_say_so(every: dict[str, str]) -> None:
-    """Assert that MATLAB and Julia are marked, and show how the header is read."""
-    for kind in schema.KINDS:
-        assert '=== "MATLAB (not run)"' in every[f"files/{kind}.md"]
-        assert '=== "Julia (not run)"' in every[f"files/{kind}.md"]
 
 
 @pytest.fixture(scope="module")
