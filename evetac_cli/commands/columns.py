@@ -16,7 +16,7 @@ COMMANDS = Path(__file__).with_name("columns.toml")
 SUBJECTS = Path(__file__).parents[1] / "evaluate"
 UNITS = {
     **{name: name for name in ("ms", "us", "s", "px", "um", "mm", "bytes", "ticks", "g")},
-    **{"hz": "Hz", "n": "N", "pa": "Pa", "ma": "mA", "mb": "MB", "per_min": "1/min", "share": "share"},
+    **{"hz": "Hz", "n": "N", "pa": "Pa", "ma": "mA", "mb": "MB", "per_min": "1/min"},
 }
 
 
