@@ -12,8 +12,9 @@
 """
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import MISSING, dataclass, field, fields
+from enum import Enum
+from typing import Any, NamedTuple
 
 from evetac_cli.kernels.grip.paper import GraspPhase
 
@@ -191,58 +192,140 @@ class LoadLaw:
     gear: Gear = Gear()
 
 
-@dataclass
-class LoadState(FingerState):
-    """State of the controller between steps; flat, so that a shallow copy is independent."""
+class Mode(Enum):
+    """What the controller does after light contact; all but HOLD belong to the lift."""
 
-    phase: GraspPhase = GraspPhase.CONTACT
-    first_position: int = -1  # encoder at the first step
-    approach_s: float = 0.0  # time since the push was last made harder
-    approach_more: int = 0  # additional ticks of push in light contact, for a stiff gear
+    SEEK_LOAD = 0  # wait for a load, and for it to become steady
+    PROBE = 1  # close a little, to see whether the load answers
+    TIGHTEN = 2  # close on slip
+    HOLD = 3  # the gripper carries the object
+
+
+@dataclass
+class Approach:
+    """Light contact: how far the fingers have come, and how hard a stiff gear is pushed."""
+
     steps: int = 0
-    light_ticks: float = 0.0  # closing beyond first touch when light contact ends
-    rest_ticks: float = 0.0  # position at which the fingers touch without force
+    first_position: int = -1  # encoder at the first step
+    dry_s: float = 0.0  # time since the push was last made harder
+    more: int = 0  # additional ticks of push
+
+
+@dataclass
+class LoadEstimate:
+    """The shear load on the gel in px, its growth rate and its averages."""
+
     rest_px: tuple[float, float, float] = (0.0, 0.0, 0.0)  # displacement and turn in light contact
-    ratio: float = 0.0  # grip per load, ticks/px
-    spare: float = 0.0  # part of the grip that does not depend on the load, ticks
-    wanted_ticks: float = 0.0  # position that the fingers should reach
-    load_px: float = 0.0
-    rate_px_s: float = 0.0  # growth rate of the load
+    px: float = 0.0
+    rate_px_s: float = 0.0  # growth rate
     most_rate_px_s: float = 0.0
-    slow_px: float = 0.0  # load averaged over about quiet_s
+    slow_px: float = 0.0  # averaged over about quiet_s
     mean_px: float = 0.0  # ... over about mean_s
     settled_px: float = 0.0  # ... over about settle_s
     steady_s: float = 0.0  # time for which the load has been steady
-    slip_steps: int = 0  # consecutive steps with slip
+
+
+@dataclass
+class SlipSigns:
+    """The detector's slip, and the time for which its signs are not believed."""
+
+    steps: int = 0  # consecutive steps with slip
     quiet_s: float = math.inf  # time since the last slip
     begins: bool = False  # slip began in this step, after at least quiet_s without
     ignore_s: float = 0.0  # remaining time for which signs of slip are ignored
     next_ignore_s: float = 0.0  # length of the next such time
-    closes: bool = False  # closing on slip
-    answered: bool = False  # ... and the load has grown with the grip since
-    asked_s: float = 0.0  # time since grip and load were noted in the next two fields, to check for an answer
-    asked_ticks: float = 0.0
-    asked_px: float = 0.0
-    ratio_at_slip: float = 0.0
+
+
+@dataclass
+class Response:
+    """Grip and load at an earlier time, to see whether the load has grown with the grip since."""
+
+    elapsed_s: float = 0.0
+    grip_ticks: float = 0.0
+    load_px: float = 0.0
+
+
+@dataclass
+class Probe:
+    """The present probe of the lift, and what the ones before it have shown."""
+
     waited_s: float = 0.0  # time with a load, waiting for it to become steady
-    probing: bool = False
-    probe_share: float = 0.0
-    probe_ticks: float = 0.0  # closing of the present probe
-    probed_s: float = 0.0  # time since the present probe has closed
-    tells: bool = False  # the load was steady before the probe, so that one answer is conclusive
+    share: float = 0.0  # of the grip
+    ticks: float = 0.0  # closing of the present probe
+    closed_s: float = 0.0  # time since the present probe has closed
+    conclusive: bool = False  # the load was steady before the probe, so that one answer tells
     unanswered: int = 0  # consecutive probes without an answer
-    carried: bool = False  # the gripper carries the object
-    carried_s: float = 0.0  # time since then, or since the last unconfirmed sign in the release
-    base_px: float = 0.0  # load when the object was found to be carried
-    held_px: float = 0.0  # load carried recently
-    calm: bool = False  # a release may begin
+
+
+@dataclass
+class Boost:
+    """The firmer grip that stops a slide."""
+
+    remaining_s: float = 0.0
+    factor: float = 1.0
+    carried_px: float = 0.0  # load carried recently
+
+
+@dataclass
+class FrictionEstimate:
+    """The grip per load that a carried object needs, in ticks/px, found by opening slowly until it slips."""
+
+    calm: bool = False  # the opening may begin
+    held_s: float = 0.0  # time since the object is carried, or since the last unconfirmed sign
     doubted: float = 0.0  # ratio at the last unconfirmed sign of slip
-    stop_s: float = 0.0  # remaining time of the boost that stops a slide
-    boost: float = 1.0  # present factor of that boost
-    needed: float = 0.0  # ratio that the grip aims at, once a release has found it; 0 before
-    needed_at_release: float = 0.0  # ... as the release found it, before later slips raised it
-    seen_px: tuple[float, float, float] = (0.0, 0.0, 0.0)  # load at the start of a window of the release
-    seen_ticks: float = 0.0  # grip at the start of that window; 0: no window has begun
+    needed: float = 0.0  # ratio that the grip aims at, once it has been found; 0 before
+    first_needed: float = 0.0  # ... as it was found, before later slips raised it
+    window_load_px: tuple[float, float, float] = (0.0, 0.0, 0.0)  # load at the start of a window of the opening
+    window_ticks: float = 0.0  # grip at the start of that window; 0: no window has begun
     usual_px: float = -1.0  # change of load in the first window; -1: not yet measured
+
+
+@dataclass
+class LoadState:
+    """State of the controller between steps."""
+
+    phase: GraspPhase = GraspPhase.CONTACT
+    mode: Mode = Mode.SEEK_LOAD
+    finger: FingerState = field(default_factory=FingerState)
+    approach: Approach = field(default_factory=Approach)
+    load: LoadEstimate = field(default_factory=LoadEstimate)
+    slip: SlipSigns = field(default_factory=SlipSigns)
+    response: Response = field(default_factory=Response)
+    probe: Probe = field(default_factory=Probe)
+    boost: Boost = field(default_factory=Boost)
+    friction: FrictionEstimate = field(default_factory=FrictionEstimate)
+    light_ticks: float = 0.0  # closing beyond first touch when light contact ends
+    rest_ticks: float = 0.0  # position at which the fingers touch without force
+    ratio: float = 0.0  # grip per load, ticks/px
+    spare: float = 0.0  # part of the grip that does not depend on the load, ticks
+    wanted_ticks: float = 0.0  # position that the fingers should reach
+    base_px: float = 0.0  # load when the object was found to be carried
+    answered: bool = False  # the load has grown with the grip since the grip closes on slip
+    ratio_at_slip: float = 0.0  # ratio when the grip began to close on slip, or the load last answered
     u_ff: float = 0.0  # push, negative closes; only recorded
-    x_ref: float = math.nan  # wanted position; only recorded
+
+    def __copy__(self) -> "LoadState":
+        """Return an independent state; by hand, because a deep copy takes long, in each control step."""
+        twin: LoadState = _shallow(self)
+        for name in _PARTS:
+            setattr(twin, name, _shallow(getattr(self, name)))
+        return twin
+
+    @property
+    def x_ref(self) -> float:
+        """Wanted position, NaN in light contact; only recorded."""
+        return math.nan if self.phase is GraspPhase.CONTACT else self.wanted_ticks
+
+    @property
+    def grip_ticks(self) -> float:
+        """Present grip."""
+        return max(self.finger.place_ticks - self.rest_ticks, 0.25)
+
+
+_PARTS = tuple(item.name for item in fields(LoadState) if item.default_factory is not MISSING)
+
+
+def _shallow(record: Any) -> Any:
+    twin = object.__new__(type(record))
+    twin.__dict__.update(record.__dict__)
+    return twin

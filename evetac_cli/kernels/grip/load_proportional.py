@@ -31,8 +31,10 @@ and friction, so each grasp finds the ratio again:
 import math
 
 from evetac_cli.kernels.grip import load_law
-from evetac_cli.kernels.grip.load_law import Felt, LoadLaw, LoadState
+from evetac_cli.kernels.grip.load_law import Felt, LoadEstimate, LoadLaw, LoadState, Mode, Response
 from evetac_cli.kernels.grip.paper import GraspPhase
+
+Load = tuple[float, float, float]  # in px: shear across, shear down, and twist in px of load
 
 
 def start() -> LoadState:
@@ -46,92 +48,89 @@ def step(state: LoadState, phase: GraspPhase, felt: Felt, position_ticks: int, d
         return _touch(state, felt, position_ticks, dt_s, law)
     if state.phase is GraspPhase.CONTACT:
         state.ratio, state.spare = law.first_ratio, state.light_ticks + law.first_ticks
-        state.next_ignore_s, state.probe_share = law.ignore_s, law.probe
+        state.slip.next_ignore_s, state.probe.share = law.ignore_s, law.probe
     state.phase = phase
-    load_law.observe(state, position_ticks)
-    load = _load(felt, state.rest_px, law)
-    _watch_load(state, math.hypot(*load), dt_s, law)
-    if phase is GraspPhase.BALANCE and not state.carried:
-        _carry(state, law)
-    slips = _slips(state, felt, dt_s, law)
-    if state.carried:
+    load_law.observe(state.finger, position_ticks)
+    load = _measure_load(state.load, felt, dt_s, law)
+    if phase is GraspPhase.BALANCE and state.mode is not Mode.HOLD:
+        _begin_to_hold(state, law)
+    slips = _detect_slip(state, felt, dt_s, law)
+    if state.mode is Mode.HOLD:
         _hold(state, load, felt, slips, dt_s, law)
     else:
         _lift(state, slips, dt_s, law)
-    load_px = max(state.load_px, state.held_px)
-    if state.carried:
+    holds = state.mode is Mode.HOLD
+    load_px = max(state.load.px, state.boost.carried_px)
+    if holds:
         load_px = min(load_px, law.most_load * state.base_px)
-    grip = min(state.spare + state.ratio * state.boost * load_px, _most_ticks(load_px, law))
+    grip = min(state.spare + state.ratio * state.boost.factor * load_px, _most_ticks(load_px, law))
     wanted = state.rest_ticks + grip
-    before = min(state.wanted_ticks, state.place_ticks)  # fingers that are behind have less to open
-    opens = (before - state.rest_ticks) * dt_s / (law.settle_s if state.carried else law.leaks_s)
+    before = min(state.wanted_ticks, state.finger.place_ticks)  # fingers that are behind have less to open
+    opens = (before - state.rest_ticks) * dt_s / (law.settle_s if holds else law.leaks_s)
     state.wanted_ticks = max(wanted, before - opens)
-    state.x_ref = state.wanted_ticks
-    push = load_law.push(state, state.wanted_ticks, state.rest_ticks, dt_s, law.gear)
+    push = load_law.push(state.finger, state.wanted_ticks, state.rest_ticks, dt_s, law.gear)
     state.u_ff = -float(push)
     return _clip_whole(position_ticks + push, law.gear.last_tick)
 
 
 def _touch(state: LoadState, felt: Felt, position_ticks: int, dt_s: float, law: LoadLaw) -> int:
     """Light contact: close by the smallest push that moves the fingers, until contact is felt."""
-    if state.first_position < 0:
-        state.first_position = position_ticks
-    state.steps += 1
-    state.position = position_ticks
-    state.place_ticks = state.wanted_ticks = position_ticks + 0.5
+    approach, finger = state.approach, state.finger
+    if approach.first_position < 0:
+        approach.first_position = position_ticks
+    approach.steps += 1
+    finger.position = position_ticks
+    finger.place_ticks = state.wanted_ticks = position_ticks + 0.5
     state.light_ticks = law.unfelt_ticks if math.isnan(felt.sticking_share) else law.light_ticks
-    state.rest_ticks = state.place_ticks - state.light_ticks
-    state.rest_px = felt.x_px, felt.y_px, felt.turn_px
+    state.rest_ticks = finger.place_ticks - state.light_ticks
+    state.load.rest_px = felt.x_px, felt.y_px, felt.turn_px
     push = law.approach
     if not math.isnan(felt.sticking_share):
         push = 0.0
-    elif abs(position_ticks - state.first_position) < 3:  # a stiff gear: the fingers have not begun to move
-        state.approach_s += dt_s
-        if state.approach_s > law.approach_dry_s:
-            state.approach_s, state.approach_more = 0.0, min(state.approach_more + 1, int(law.gear.most_push))
-    if push and state.approach_more:  # in pulses, so that the fingers close no further than necessary
-        push += state.approach_more if state.steps % 4 == 0 else 0.0
-        state.harder_ticks = float(state.approach_more)
+    elif abs(position_ticks - approach.first_position) < 3:  # a stiff gear: the fingers have not begun to move
+        approach.dry_s += dt_s
+        if approach.dry_s > law.approach_dry_s:
+            approach.dry_s, approach.more = 0.0, min(approach.more + 1, int(law.gear.most_push))
+    if push and approach.more:  # in pulses, so that the fingers close no further than necessary
+        push += approach.more if approach.steps % 4 == 0 else 0.0
+        finger.harder_ticks = float(approach.more)
     state.u_ff = -push
     return _clip_whole(position_ticks + push, law.gear.last_tick)
 
 
-def _load(felt: Felt, rest_px: tuple[float, float, float], law: LoadLaw) -> tuple[float, float, float]:
-    """Return the load in px: shear across, shear down, and twist in px of load."""
-    return felt.x_px - rest_px[0], felt.y_px - rest_px[1], law.turn * (felt.turn_px - rest_px[2])
+def _measure_load(load: LoadEstimate, felt: Felt, dt_s: float, law: LoadLaw) -> Load:
+    """Update the load, its growth rate and averages, and the time for which it has been steady; return its parts."""
+    rest_x_px, rest_y_px, rest_turn_px = load.rest_px
+    parts = felt.x_px - rest_x_px, felt.y_px - rest_y_px, law.turn * (felt.turn_px - rest_turn_px)
+    load_px = math.hypot(*parts)
+    load.rate_px_s += ((load_px - load.px) / dt_s - load.rate_px_s) * min(dt_s / law.rate_s, 1.0)
+    load.most_rate_px_s = max(load.most_rate_px_s, load.rate_px_s)
+    load.px = load_px
+    load.slow_px += (load_px - load.slow_px) * min(dt_s / law.quiet_s, 1.0)
+    load.settled_px += (load_px - load.settled_px) * min(dt_s / law.settle_s, 1.0)
+    load.mean_px += (load_px - load.mean_px) * min(dt_s / law.mean_s, 1.0)
+    steady = abs(load_px - load.slow_px) <= law.steady * load_px + 0.1 * law.least_px
+    load.steady_s = load.steady_s + dt_s if steady and load_px > law.least_px else 0.0
+    return parts
 
 
-def _watch_load(state: LoadState, load_px: float, dt_s: float, law: LoadLaw) -> None:
-    """Update the load, its growth rate and averages, and the time for which it has been steady."""
-    state.rate_px_s += ((load_px - state.load_px) / dt_s - state.rate_px_s) * min(dt_s / law.rate_s, 1.0)
-    state.most_rate_px_s = max(state.most_rate_px_s, state.rate_px_s)
-    state.load_px = load_px
-    state.slow_px += (load_px - state.slow_px) * min(dt_s / law.quiet_s, 1.0)
-    state.settled_px += (load_px - state.settled_px) * min(dt_s / law.settle_s, 1.0)
-    state.mean_px += (load_px - state.mean_px) * min(dt_s / law.mean_s, 1.0)
-    steady = abs(load_px - state.slow_px) <= law.steady * load_px + 0.1 * law.least_px
-    state.steady_s = state.steady_s + dt_s if steady and load_px > law.least_px else 0.0
-
-
-def _slips(state: LoadState, felt: Felt, dt_s: float, law: LoadLaw) -> bool:
+def _detect_slip(state: LoadState, felt: Felt, dt_s: float, law: LoadLaw) -> bool:
     """Whether a credible sign of slip is present: from the detector or from the sticking share."""
-    state.slip_steps = state.slip_steps + 1 if felt.slip else 0
-    state.ignore_s = max(state.ignore_s - dt_s, 0.0)
-    slips = state.slip_steps >= 2
-    if not state.carried:
-        slips = (slips or felt.sticking_share < law.little_sticks) and _stalls(state, law) and state.ignore_s <= 0.0
-    state.begins = slips and state.quiet_s >= law.quiet_s
-    state.quiet_s = 0.0 if slips else state.quiet_s + dt_s
+    slip = state.slip
+    slip.steps = slip.steps + 1 if felt.slip else 0
+    slip.ignore_s = max(slip.ignore_s - dt_s, 0.0)
+    slips = slip.steps >= 2
+    if state.mode is not Mode.HOLD:
+        sign = slips or felt.sticking_share < law.little_sticks
+        slips = sign and _load_stalls(state.load, law) and slip.ignore_s <= 0.0
+    slip.begins = slips and slip.quiet_s >= law.quiet_s
+    slip.quiet_s = 0.0 if slips else slip.quiet_s + dt_s
     return slips
 
 
-def _stalls(state: LoadState, law: LoadLaw) -> bool:
+def _load_stalls(load: LoadEstimate, law: LoadLaw) -> bool:
     """Whether the load grows more slowly than the hand rises: in the lift, the object then slides."""
-    return state.rate_px_s <= law.stalls * state.most_rate_px_s and state.load_px > law.least_px
-
-
-def _grip_ticks(state: LoadState) -> float:
-    return max(state.place_ticks - state.rest_ticks, 0.25)
+    return load.rate_px_s <= law.stalls * load.most_rate_px_s and load.px > law.least_px
 
 
 def _most_ticks(load_px: float, law: LoadLaw) -> float:
@@ -139,187 +138,195 @@ def _most_ticks(load_px: float, law: LoadLaw) -> float:
     return law.most_ticks + law.most_ticks_px * load_px
 
 
-def _ask(state: LoadState) -> None:
-    """Note grip and load, so that a later step can check whether the load answers to the grip."""
-    state.asked_s, state.asked_ticks, state.asked_px = 0.0, _grip_ticks(state), state.load_px
-
-
-def _answers(state: LoadState, share: float) -> bool:
-    """Whether the load has grown by at least this share of the relative growth of the grip since both were noted."""
-    grown = _grip_ticks(state) / state.asked_ticks - 1.0
-    load_px = state.mean_px if state.probing and not state.tells else state.load_px
-    return load_px > state.asked_px * (1.0 + share * max(grown, 0.0))
+def _has_grown(state: LoadState, load_px: float, share: float) -> bool:
+    """Whether a load is larger than before by this share of the relative growth of the grip since (see `Response`)."""
+    grown = state.grip_ticks / state.response.grip_ticks - 1.0
+    return load_px > state.response.load_px * (1.0 + share * max(grown, 0.0))
 
 
 def _lift(state: LoadState, slips: bool, dt_s: float, law: LoadLaw) -> None:
     """Lift: close on slip while the load answers; otherwise look for a load and check whether it is carried."""
-    if slips or (state.closes and _stalls(state, law)):  # a continuing slide moves no dots
-        state.quiet_s = 0.0
-        _close(state, dt_s, law)
-    elif not state.closes:
-        _seek(state, dt_s, law)
-    elif state.quiet_s >= law.quiet_s:  # until then, slip may return at once
-        state.closes = False
+    tightens = state.mode is Mode.TIGHTEN
+    if slips or (tightens and _load_stalls(state.load, law)):  # a continuing slide moves no dots
+        state.slip.quiet_s = 0.0
+        _tighten(state, dt_s, law)
+    elif state.mode is Mode.PROBE:
+        _probe(state, dt_s, law)
+    elif not tightens:
+        _seek_load(state, dt_s, law)
+    elif state.slip.quiet_s >= law.quiet_s:  # until then, slip may return at once
+        state.mode = Mode.SEEK_LOAD
 
 
-def _close(state: LoadState, dt_s: float, law: LoadLaw) -> None:
+def _tighten(state: LoadState, dt_s: float, law: LoadLaw) -> None:
     """Close on slip while the load answers to the grip."""
-    if not state.closes:
-        state.closes, state.probing, state.answered = True, False, False
+    if state.mode is not Mode.TIGHTEN:
+        state.mode, state.answered = Mode.TIGHTEN, False
         state.ratio_at_slip = state.ratio
-        _ask(state)
-    state.asked_s += dt_s
+        state.response = Response(0.0, state.grip_ticks, state.load.px)
+    state.response.elapsed_s += dt_s
     state.ratio = min(state.ratio * (1.0 + dt_s / law.close_s), law.most_ratio)
-    _spare(state, law.close_ticks_s * dt_s, law)
-    if state.asked_s < law.answer_s or _grip_ticks(state) < 1.2 * state.asked_ticks:
+    _add_spare(state, law.close_ticks_s * dt_s, law)
+    if state.response.elapsed_s < law.answer_s or state.grip_ticks < 1.2 * state.response.grip_ticks:
         return
-    if _answers(state, law.answer):
-        state.answered, state.next_ignore_s, state.ratio_at_slip = True, law.ignore_s, state.ratio
-        _ask(state)
+    if _has_grown(state, state.load.px, law.answer):
+        state.answered, state.slip.next_ignore_s, state.ratio_at_slip = True, law.ignore_s, state.ratio
+        state.response = Response(0.0, state.grip_ticks, state.load.px)
         return
-    state.closes, state.ratio = False, state.ratio_at_slip
+    state.mode, state.ratio = Mode.SEEK_LOAD, state.ratio_at_slip
     if not state.answered:
-        _ignore(state, law)
+        _ignore_slip(state, law)
 
 
-def _ignore(state: LoadState, law: LoadLaw) -> None:
+def _ignore_slip(state: LoadState, law: LoadLaw) -> None:
     """Ignore signs of slip for a while."""
-    state.ignore_s = state.next_ignore_s
-    state.next_ignore_s = min(2.0 * state.next_ignore_s, law.most_ignore_s)
+    state.slip.ignore_s = state.slip.next_ignore_s
+    state.slip.next_ignore_s = min(2.0 * state.slip.next_ignore_s, law.most_ignore_s)
 
 
-def _spare(state: LoadState, more_ticks: float, law: LoadLaw) -> None:
+def _add_spare(state: LoadState, more_ticks: float, law: LoadLaw) -> None:
     """Close by this many more ticks independently of the load, up to the upper bound."""
     state.spare = max(state.spare, min(state.spare + more_ticks, state.light_ticks + law.most_spare_ticks))
 
 
-def _seek(state: LoadState, dt_s: float, law: LoadLaw) -> None:
-    """Wait for a load, then probe with a firmer grip whether the gripper carries it."""
-    if state.load_px <= law.least_px:
-        _spare(state, law.search_ticks_s * dt_s, law)
+def _seek_load(state: LoadState, dt_s: float, law: LoadLaw) -> None:
+    """Wait for a load that is steady, or for long enough; then begin to probe whether the gripper carries it."""
+    load, probe = state.load, state.probe
+    if load.px <= law.least_px:
+        _add_spare(state, law.search_ticks_s * dt_s, law)
         return
-    if not state.probing:
-        state.waited_s += dt_s
-        state.tells = state.steady_s > law.quiet_s
-        if state.tells or state.waited_s > law.wait_s:
-            _ask(state)
-            state.probing, state.probed_s, state.waited_s = True, 0.0, 0.0
-            state.asked_px = state.load_px if state.tells else state.mean_px
-            state.probe_ticks = max(state.probe_share * state.asked_ticks, law.probe_ticks)
-            state.spare = max(state.spare, state.asked_ticks - state.ratio * state.load_px)
-        return
-    state.asked_s += dt_s
-    closed = _grip_ticks(state) >= state.asked_ticks + state.probe_ticks
-    if not closed and not state.probed_s and state.asked_s <= law.probe_most_s:
-        most = state.asked_ticks + 2.0 * state.probe_ticks - state.ratio * state.load_px
-        state.spare = max(state.spare, min(state.spare + state.probe_ticks * dt_s / law.probe_s, most))
-        return
-    state.probed_s += dt_s
-    if state.probed_s > law.probe_s:
-        _hear(state, law)
+    probe.waited_s += dt_s
+    probe.conclusive = load.steady_s > law.quiet_s
+    if probe.conclusive or probe.waited_s > law.wait_s:
+        state.mode, probe.closed_s, probe.waited_s = Mode.PROBE, 0.0, 0.0
+        state.response = Response(0.0, state.grip_ticks, load.px if probe.conclusive else load.mean_px)
+        probe.ticks = max(probe.share * state.response.grip_ticks, law.probe_ticks)
+        state.spare = max(state.spare, state.response.grip_ticks - state.ratio * load.px)
 
 
-def _hear(state: LoadState, law: LoadLaw) -> None:
-    """Evaluate the end of a probe: does the load answer to the grip?"""
-    answers, state.probing = _answers(state, law.probe_answer), False
-    moved = _grip_ticks(state) >= state.asked_ticks + 0.5 * state.probe_ticks  # otherwise the probe did not happen
-    at_limit = state.wanted_ticks - state.place_ticks > law.gear.most_push
-    at_limit = at_limit or state.spare + state.ratio * state.load_px > _most_ticks(state.load_px, law)
-    most = _grip_ticks(state) + 1.0 - state.ratio * state.load_px  # takes back ticks that the fingers did not follow
+def _probe(state: LoadState, dt_s: float, law: LoadLaw) -> None:
+    """Close by the probe's ticks, wait for the load to answer, and judge."""
+    load, probe, before = state.load, state.probe, state.response
+    if load.px <= law.least_px:
+        _add_spare(state, law.search_ticks_s * dt_s, law)
+        return
+    before.elapsed_s += dt_s
+    closed = state.grip_ticks >= before.grip_ticks + probe.ticks
+    if not closed and not probe.closed_s and before.elapsed_s <= law.probe_most_s:
+        most = before.grip_ticks + 2.0 * probe.ticks - state.ratio * load.px
+        state.spare = max(state.spare, min(state.spare + probe.ticks * dt_s / law.probe_s, most))
+        return
+    probe.closed_s += dt_s
+    if probe.closed_s > law.probe_s:
+        _judge_probe(state, law)
+
+
+def _judge_probe(state: LoadState, law: LoadLaw) -> None:
+    """End a probe: an object whose load answers to the grip slides, one whose load does not is carried."""
+    load, probe, before = state.load, state.probe, state.response
+    slides = _has_grown(state, load.px if probe.conclusive else load.mean_px, law.probe_answer)
+    state.mode = Mode.SEEK_LOAD
+    moved = state.grip_ticks >= before.grip_ticks + 0.5 * probe.ticks  # otherwise the probe did not happen
+    at_limit = state.wanted_ticks - state.finger.place_ticks > law.gear.most_push
+    at_limit = at_limit or state.spare + state.ratio * load.px > _most_ticks(load.px, law)
+    most = state.grip_ticks + 1.0 - state.ratio * load.px  # takes back ticks that the fingers did not follow
     state.spare = min(state.spare, max(most, state.light_ticks))
-    if answers and moved:  # the object slides: probe again with a larger share; at once if the answer is conclusive
-        state.waited_s, state.unanswered = law.wait_s if state.tells else 0.0, 0
-        state.probe_share = min(2.0 * state.probe_share, law.most_probe)
+    if slides and moved:  # probe again with a larger share; at once if the answer is conclusive
+        probe.waited_s, probe.unanswered = law.wait_s if probe.conclusive else 0.0, 0
+        probe.share = min(2.0 * probe.share, law.most_probe)
     elif moved or at_limit:  # at the limit, the gripper cannot hold more firmly
-        state.unanswered, state.probe_share = state.unanswered + 1, law.probe
-        if state.tells or state.unanswered > 1:
-            _carry(state, law)
+        probe.unanswered, probe.share = probe.unanswered + 1, law.probe
+        if probe.conclusive or probe.unanswered > 1:
+            _begin_to_hold(state, law)
 
 
-def _carry(state: LoadState, law: LoadLaw) -> None:
+def _begin_to_hold(state: LoadState, law: LoadLaw) -> None:
     """Start carrying: from now on the grip follows the load alone, and the ratio includes the spare."""
-    state.carried, state.closes, state.probing, state.spare = True, False, False, 0.0
-    state.base_px = max(state.load_px, state.settled_px, law.least_px)
-    state.ratio = min(_grip_ticks(state) / max(state.load_px, law.least_px), law.most_ratio)
+    state.mode, state.spare = Mode.HOLD, 0.0
+    state.base_px = max(state.load.px, state.load.settled_px, law.least_px)
+    state.ratio = min(state.grip_ticks / max(state.load.px, law.least_px), law.most_ratio)
 
 
-def _hold(
-    state: LoadState, load: tuple[float, float, float], felt: Felt, slips: bool, dt_s: float, law: LoadLaw
-) -> None:
+def _hold(state: LoadState, load: Load, felt: Felt, slips: bool, dt_s: float, law: LoadLaw) -> None:
     """Carrying: stop a possible slide, and open until signs of slip show the grip that is needed."""
-    state.carried_s += dt_s
-    if state.phase is GraspPhase.LIFT and state.base_px < law.small_px < state.load_px:
+    friction = state.friction
+    friction.held_s += dt_s
+    if state.phase is GraspPhase.LIFT and state.base_px < law.small_px < state.load.px:
         _lift_again(state, law)
         return
-    slips = slips and state.ignore_s <= 0.0
-    boosted = state.boost > 1.0  # a boosted grip contains no information about the ratio
-    _stop(state, slips, dt_s, law)
-    state.calm = state.calm or state.steady_s > law.calm_s or state.carried_s > law.calm_most_s
+    slips = slips and state.slip.ignore_s <= 0.0
+    boosted = state.boost.factor > 1.0  # a boosted grip contains no information about the ratio
+    _stop_slide(state, slips, dt_s, law)
+    friction.calm = friction.calm or state.load.steady_s > law.calm_s or friction.held_s > law.calm_most_s
     sign = slips or felt.sticking_share < law.little_sticks
-    doubted = law.again * state.doubted < state.ratio <= state.doubted
-    if state.needed:
-        state.ratio += (state.needed - state.ratio) * dt_s / law.settle_s
-    elif slips and doubted and (state.begins or state.slip_steps == law.sure_steps):
-        _know(state, law)
-    elif boosted or not state.calm:
-        state.seen_ticks = 0.0
-    elif not (sign or _shows(state, load, law)):
+    doubted = law.again * friction.doubted < state.ratio <= friction.doubted
+    if friction.needed:
+        state.ratio += (friction.needed - state.ratio) * dt_s / law.settle_s
+    elif slips and doubted and (state.slip.begins or state.slip.steps == law.sure_steps):
+        _set_needed(state, law)
+    elif boosted or not friction.calm:
+        friction.window_ticks = 0.0
+    elif not (sign or _load_changes(state, load, law)):
         # positions that the fingers have yet to reach prove nothing
-        follows = state.place_ticks - state.wanted_ticks < law.lags_ticks
-        if follows and state.ratio * state.load_px > law.least_ticks:
+        follows = state.finger.place_ticks - state.wanted_ticks < law.lags_ticks
+        if follows and state.ratio * state.load.px > law.least_ticks:
             state.ratio -= state.ratio * dt_s / law.release_s
-    elif not doubted:
-        state.doubted, state.stop_s = state.ratio, law.settle_s  # possibly a false alarm: see whether a sign returns
-        state.calm, state.steady_s, state.carried_s = False, 0.0, 0.0
+    elif not doubted:  # possibly a false alarm: see whether a sign returns
+        friction.doubted, state.boost.remaining_s = state.ratio, law.settle_s
+        friction.calm, state.load.steady_s, friction.held_s = False, 0.0, 0.0
     else:
-        _know(state, law)
+        _set_needed(state, law)
 
 
-def _know(state: LoadState, law: LoadLaw) -> None:
-    """Store the needed ratio: a sign came twice at about the present one."""
-    state.stop_s = law.settle_s
-    state.ratio = state.needed = state.needed_at_release = min(state.ratio * law.margin, law.most_ratio)
+def _set_needed(state: LoadState, law: LoadLaw) -> None:
+    """Set the needed ratio: a sign came twice at about the present one."""
+    state.boost.remaining_s = law.settle_s
+    state.ratio = min(state.ratio * law.margin, law.most_ratio)
+    state.friction.needed = state.friction.first_needed = state.ratio
 
 
 def _lift_again(state: LoadState, law: LoadLaw) -> None:
     """Return to the lift: the object was not carried after all."""
-    state.carried, state.needed, state.boost, state.stop_s = False, 0.0, 1.0, 0.0
-    state.ratio, state.spare, state.unanswered = law.first_ratio, state.light_ticks + law.first_ticks, 0
+    state.mode, state.friction.needed = Mode.SEEK_LOAD, 0.0
+    state.boost.factor, state.boost.remaining_s = 1.0, 0.0
+    state.ratio, state.spare, state.probe.unanswered = law.first_ratio, state.light_ticks + law.first_ticks, 0
 
 
-def _stop(state: LoadState, slips: bool, dt_s: float, law: LoadLaw) -> None:
+def _stop_slide(state: LoadState, slips: bool, dt_s: float, law: LoadLaw) -> None:
     """Grip more firmly for a while after slip, and when the load falls below the carried load."""
-    forgets = dt_s / law.forgets_s if state.needed else 1.0
-    state.held_px = max(state.held_px * (1.0 - forgets), state.settled_px)
-    slides = slips or (state.needed > 0.0 and state.load_px < state.held_px * law.falls)
-    if slides and state.stop_s <= 0.0 and state.needed:
-        state.needed = min(state.needed * law.doubt, state.needed_at_release * law.most_doubt, law.most_ratio)
-    state.stop_s = law.settle_s if slides else max(state.stop_s - dt_s, 0.0)
-    if state.stop_s <= 0.0:
-        state.boost = max(state.boost * (1.0 - dt_s / law.settle_s), 1.0)
+    boost, friction = state.boost, state.friction
+    forgets = dt_s / law.forgets_s if friction.needed else 1.0
+    boost.carried_px = max(boost.carried_px * (1.0 - forgets), state.load.settled_px)
+    slides = slips or (friction.needed > 0.0 and state.load.px < boost.carried_px * law.falls)
+    if slides and boost.remaining_s <= 0.0 and friction.needed:
+        friction.needed = min(friction.needed * law.doubt, friction.first_needed * law.most_doubt, law.most_ratio)
+    boost.remaining_s = law.settle_s if slides else max(boost.remaining_s - dt_s, 0.0)
+    if boost.remaining_s <= 0.0:
+        boost.factor = max(boost.factor * (1.0 - dt_s / law.settle_s), 1.0)
         return
-    state.boost = min(max(state.boost * (1.0 + slips * dt_s / law.close_s), law.slide), law.most_boost)
-    if slips and state.boost >= law.most_boost:
-        _ignore(state, law)
+    boost.factor = min(max(boost.factor * (1.0 + slips * dt_s / law.close_s), law.slide), law.most_boost)
+    if slips and boost.factor >= law.most_boost:
+        _ignore_slip(state, law)
 
 
-def _shows(state: LoadState, load: tuple[float, float, float], law: LoadLaw) -> bool:
+def _load_changes(state: LoadState, load: Load, law: LoadLaw) -> bool:
     """Whether the load, including twist, changes more than the opening of the grip explains."""
+    friction = state.friction
     grip = state.wanted_ticks - state.rest_ticks
-    if not state.seen_ticks:
-        state.seen_ticks, state.seen_px, state.usual_px = grip, load, -1.0
+    if not friction.window_ticks:
+        friction.window_ticks, friction.window_load_px, friction.usual_px = grip, load, -1.0
         return False
-    if not state.steady_s:  # a jolt, which the grip follows, unless the load falls well below its recent mean
-        state.seen_ticks = 0.0
-        return state.load_px < law.falls * state.settled_px
-    change_px = math.dist(load, state.seen_px)
-    least_px = law.moves * state.load_px + law.moves_px
-    usual_px = max(least_px, law.moves_times * state.usual_px)
-    if change_px > (law.first_moves * least_px if state.usual_px < 0.0 else usual_px):
+    if not state.load.steady_s:  # a jolt, which the grip follows, unless the load falls well below its recent mean
+        friction.window_ticks = 0.0
+        return state.load.px < law.falls * state.load.settled_px
+    change_px = math.dist(load, friction.window_load_px)
+    least_px = law.moves * state.load.px + law.moves_px
+    usual_px = max(least_px, law.moves_times * friction.usual_px)
+    if change_px > (law.first_moves * least_px if friction.usual_px < 0.0 else usual_px):
         return True
-    if grip < state.seen_ticks * (1.0 - law.window):
-        state.usual_px = change_px if state.usual_px < 0.0 else state.usual_px
-        state.seen_ticks, state.seen_px = grip, load
+    if grip < friction.window_ticks * (1.0 - law.window):
+        friction.usual_px = change_px if friction.usual_px < 0.0 else friction.usual_px
+        friction.window_ticks, friction.window_load_px = grip, load
     return False
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evetac_cli.kernels.grip.load_law import Felt, FingerState, Gear, LoadLaw, observe, push
+from evetac_cli.kernels.grip.load_law import Felt, FingerState, Gear, LoadLaw, Mode, observe, push
 from evetac_cli.kernels.grip.load_proportional import start, step
 from evetac_cli.kernels.grip.paper import GraspPhase
 
@@ -87,7 +87,7 @@ def test_the_lift_closes_while_the_object_slides(weight_px: float, needs: float)
     """Assert that objects of other weight and friction hang in the end, and are held by the margin over what holds."""
     world = World(weight_px, needs).follow(LIFT, 5.0)
     assert world.load_px == weight_px
-    assert world.state.carried
+    assert world.state.mode is Mode.HOLD
     world.follow(BALANCE, 4.0)
     assert world.load_px == pytest.approx(weight_px)
     assert 1.0 <= world.grip_ticks / (weight_px * needs / STATIC) < 2.5
@@ -97,7 +97,7 @@ def test_without_a_slip_signal_the_lift_asks_the_load() -> None:
     """Assert that a silent detector leaves the object on the table no longer than the probes need."""
     world = World(4.0, 5.0, tells=False).follow(LIFT, 6.0)
     assert world.load_px == 4.0
-    assert world.state.carried
+    assert world.state.mode is Mode.HOLD
     assert world.grip_ticks < 2.0 * 20.0  # at most a probe beyond what stopped it
 
 
@@ -117,29 +117,29 @@ def test_a_detector_that_cries_closes_by_a_bounded_share() -> None:
 def test_a_release_ends_where_the_load_shows_it_twice() -> None:
     """Assert that an object which never slid is released slowly, until its load has moved twice as the grip falls."""
     world = World(4.0, 0.3).follow(LIFT, 2.0)
-    assert world.state.carried
-    assert world.state.needed == 0.0
+    assert world.state.mode is Mode.HOLD
+    assert world.state.friction.needed == 0.0
     before = world.state.ratio
     world.follow(BALANCE, 1.0)
-    assert world.state.needed == 0.0
+    assert world.state.friction.needed == 0.0
     assert world.state.ratio == pytest.approx(before * math.exp(-1.0 / LAW.release_s), rel=0.02)
     before = world.state.ratio
     world.weight_px += 0.6
-    while not world.state.doubted:
+    while not world.state.friction.doubted:
         world.follow(BALANCE, DT_S, px_s=1.0)
-    doubted = world.state.doubted
+    doubted = world.state.friction.doubted
     assert 0.6 * before < doubted < before
-    assert world.state.needed == 0.0
+    assert world.state.friction.needed == 0.0
     world.follow(BALANCE, 0.7)
-    assert 1.0 < world.state.boost < LAW.slide
-    assert world.state.calm
+    assert 1.0 < world.state.boost.factor < LAW.slide
+    assert world.state.friction.calm
     assert world.state.ratio == doubted  # a grip that is firmer than the ratio shows nothing of it
-    while world.state.boost > 1.0:
+    while world.state.boost.factor > 1.0:
         world.follow(BALANCE, DT_S)
     world.follow(BALANCE, 1.1 * LAW.window * LAW.release_s)
     world.weight_px += 0.6
     world.follow(BALANCE, 1.0, px_s=2.5)
-    needed = world.state.needed
+    needed = world.state.friction.needed
     assert LAW.again * LAW.margin * doubted < needed < LAW.margin * doubted
     world.follow(BALANCE, 4.0)
     assert world.state.ratio == pytest.approx(needed, rel=1e-2)
@@ -152,14 +152,14 @@ def test_a_release_waits_for_the_fingers() -> None:
     for _ in range(1000):
         world.follow(BALANCE, DT_S)
         world.at_ticks = at_ticks
-    assert world.state.place_ticks >= math.floor(at_ticks)
+    assert world.state.finger.place_ticks >= math.floor(at_ticks)
     assert before * (1.0 - 4.0 * LAW.lags_ticks / world.grip_ticks) < world.state.ratio < before
 
 
 def test_a_release_without_a_sign_ends() -> None:
     """Assert that a grip which nothing shows to be too light is opened to a tick, and more weight finds more of it."""
     world = World(2.0, 0.01, tells=False).follow(LIFT, 2.0).follow(BALANCE, 12.0)
-    assert world.state.needed == 0.0
+    assert world.state.friction.needed == 0.0
     assert world.state.ratio * world.load_px == pytest.approx(LAW.least_ticks, rel=0.01)
     world.weight_px = 4.0
     world.follow(BALANCE, 0.1, px_s=40.0)
@@ -170,12 +170,12 @@ def test_a_gripper_at_its_limit_carries() -> None:
     """Assert that an object whose load swings is carried at last by fingers which can close no further."""
     world = World(20.0, 0.3, tells=False).follow(LIFT, 0.1)
     limit_ticks, steps = world.at_ticks, 0
-    while not world.state.carried and steps < 2000:
-        behind_ticks = world.state.wanted_ticks - world.state.place_ticks
+    while world.state.mode is not Mode.HOLD and steps < 2000:
+        behind_ticks = world.state.wanted_ticks - world.state.finger.place_ticks
         world.pulled_px = 10.0 + 3.0 * math.sin(0.05 * steps)
         world.follow(LIFT, DT_S, px_s=0.0)
         world.at_ticks, steps = min(world.at_ticks, limit_ticks), steps + 1
-    assert world.state.carried
+    assert world.state.mode is Mode.HOLD
     assert behind_ticks > LAW.gear.most_push
 
 
@@ -183,14 +183,14 @@ def test_a_grip_as_firm_as_the_law_has_it_carries() -> None:
     """Assert that the law asks for no more than its firmest grip, and takes what that holds as carried."""
     law = replace(LAW, most_ticks=5.0, most_ticks_px=1.0)
     world = World(4.0, 0.3, law, tells=False).follow(LIFT, 2.0)
-    assert world.state.carried
+    assert world.state.mode is Mode.HOLD
     assert world.most_ticks < 5.0 + 4.0 + 1.0
 
 
 def test_a_slide_that_shows_no_longer_is_closed_on() -> None:
     """Assert that the lift goes on closing on an object that slides on, though the detector has fallen silent."""
     world = World(6.0, 6.0)
-    while not world.state.closes:
+    while world.state.mode is not Mode.TIGHTEN:
         world.follow(LIFT, DT_S)
     world.tells = False
     world.follow(LIFT, 0.4)
@@ -204,7 +204,7 @@ def test_a_load_that_jumps_up_is_followed_and_ends_no_release() -> None:
     before = world.state.wanted_ticks - world.state.rest_ticks
     world.weight_px += 2.0
     world.follow(BALANCE, 0.1, px_s=200.0)
-    assert world.state.needed == 0.0
+    assert world.state.friction.needed == 0.0
     assert world.state.wanted_ticks - world.state.rest_ticks == pytest.approx(1.5 * before, rel=0.1)
 
 
@@ -216,7 +216,7 @@ def test_a_load_that_falls_in_a_release_is_a_sign() -> None:
         world.pulled_px = world.weight_px = 0.99 * world.weight_px
         world.follow(BALANCE, DT_S)
     assert not world.slides
-    assert 0.9 * before < world.state.doubted < before
+    assert 0.9 * before < world.state.friction.doubted < before
 
 
 def test_a_sign_of_slip_ends_a_release_once_it_comes_again() -> None:
@@ -224,16 +224,16 @@ def test_a_sign_of_slip_ends_a_release_once_it_comes_again() -> None:
     world = World(4.0, 0.3).follow(LIFT, 2.0).follow(BALANCE, 0.5)
     world.share = 0.1
     world.follow(BALANCE, DT_S)
-    assert world.state.needed == 0.0
+    assert world.state.friction.needed == 0.0
     world.share = 1.0
     world.follow(BALANCE, DT_S)
-    assert world.state.boost == LAW.slide
+    assert world.state.boost.factor == LAW.slide
     world.follow(BALANCE, 1.0)
-    assert world.state.boost == 1.0
+    assert world.state.boost.factor == 1.0
     ratio, world.share = world.state.ratio, 0.1
-    assert ratio < world.state.doubted
+    assert ratio < world.state.friction.doubted
     world.follow(BALANCE, DT_S)
-    assert world.state.needed == pytest.approx(ratio * LAW.margin)
+    assert world.state.friction.needed == pytest.approx(ratio * LAW.margin)
 
 
 @pytest.mark.parametrize("steps", [(LAW.sure_steps,), (3, 3)])
@@ -242,13 +242,13 @@ def test_slip_that_lasts_or_comes_again_at_once_ends_a_release(steps: tuple[int,
     world = World(4.0, 0.3).follow(LIFT, 2.0).follow(BALANCE, 0.5)
     ratio = world.state.ratio
     for count in steps:
-        assert world.state.needed == 0.0
+        assert world.state.friction.needed == 0.0
         world.cries = True
         world.follow(BALANCE, count * DT_S)
         world.cries = False
         world.follow(BALANCE, 0.1)
-        assert world.state.boost > 1.0
-    assert world.state.needed == pytest.approx(ratio * LAW.margin, rel=0.01)
+        assert world.state.boost.factor > 1.0
+    assert world.state.friction.needed == pytest.approx(ratio * LAW.margin, rel=0.01)
 
 
 def test_more_weight_is_gripped_in_proportion() -> None:
@@ -275,7 +275,7 @@ def test_load_counts_from_light_contact() -> None:
         state = start()
         step(state, CONTACT, Felt(False, 7.0, -5.0, 1.0), 100, DT_S, LAW)
         step(state, LIFT, Felt(False, 7.0 + x, -5.0 + y, 1.0 + turn), 100, DT_S, LAW)
-        loads.append(state.load_px)
+        loads.append(state.load.px)
     assert loads == pytest.approx([3.0, 3.0, 5.0])
 
 
@@ -292,10 +292,10 @@ def test_light_contact_that_was_not_felt_has_closed_further() -> None:
 def test_what_was_spare_is_not_let_go_untold() -> None:
     """Assert that the grip which was found to carry the object is all in the ratio, what was spare too."""
     world = World(2.0, 5.0)
-    while not world.state.carried:
+    while world.state.mode is not Mode.HOLD:
         spare = world.state.spare
         world.follow(LIFT, DT_S)
-    held_ticks = world.state.place_ticks - world.state.rest_ticks
+    held_ticks = world.state.finger.place_ticks - world.state.rest_ticks
     assert spare > 1.0
     assert world.state.spare == 0.0
     assert world.state.ratio * world.load_px == pytest.approx(held_ticks, rel=0.05)
@@ -304,9 +304,9 @@ def test_what_was_spare_is_not_let_go_untold() -> None:
 def test_what_was_not_carried_is_lifted_anew() -> None:
     """Assert that an object whose load was small when it seemed to be carried counts as on the table once it grows."""
     world = World(0.6, 4.0).follow(LIFT, 3.0)
-    assert world.state.carried
+    assert world.state.mode is Mode.HOLD
     world.weight_px = 6.0
-    while world.state.carried:
+    while world.state.mode is Mode.HOLD:
         world.follow(LIFT, DT_S)
     assert world.load_px > LAW.small_px
     world.follow(LIFT, 4.0).follow(BALANCE, 4.0)
@@ -317,25 +317,25 @@ def test_a_load_that_falls_is_gripped_by_what_stops_a_slide() -> None:
     """Assert that a silent detector does not matter to a load that falls, as of a slide: it is gripped more firmly."""
     world = World(3.0, 2.5, tells=False).follow(LIFT, 5.0).follow(BALANCE, 8.0)
     state = world.state
-    needed, before = state.needed, state.wanted_ticks - state.rest_ticks
+    needed, before = state.friction.needed, state.wanted_ticks - state.rest_ticks
     assert needed > 0.0
     step(state, BALANCE, Felt(False, 0.7 * world.load_px, 0.0, 0.0, 1.0), math.floor(world.at_ticks), DT_S, LAW)
     assert state.wanted_ticks - state.rest_ticks == pytest.approx(LAW.slide * before, rel=0.1)
-    assert state.needed == pytest.approx(min(needed * LAW.doubt, state.needed_at_release * LAW.most_doubt))
+    assert state.friction.needed == pytest.approx(min(needed * LAW.doubt, state.friction.first_needed * LAW.most_doubt))
 
 
 def test_slip_that_the_load_does_not_confirm_is_doubt() -> None:
     """Assert that each such signal of an object that is carried makes the grip firmer for good, up to a bound."""
     world = World(4.0, 5.0).follow(LIFT, 5.0).follow(BALANCE, 2.0)
-    state, needs = world.state, [world.state.needed]
+    state, needs = world.state, [world.state.friction.needed]
     world.cries = True
     for _ in range(30):
         world.follow(BALANCE, 1.0)
-        needs.append(state.needed)
+        needs.append(state.friction.needed)
     assert needs == sorted(needs)
     assert needs[0] * LAW.doubt <= needs[1] < needs[-1]
-    assert needs[-1] == pytest.approx(state.needed_at_release * LAW.most_doubt)
-    assert state.needed_at_release == needs[0]
+    assert needs[-1] == pytest.approx(state.friction.first_needed * LAW.most_doubt)
+    assert state.friction.first_needed == needs[0]
 
 
 def test_pushes_that_open_find_how_hard() -> None:
