@@ -25,7 +25,7 @@ from evetac_cli.kernels.touch.sticking import step as sticking_step
 from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.sim.setup.object_file import seed_of
 from evetac_cli.sim.setup.plan import plans
-from evetac_cli.stages.model_files import why_useless
+from evetac_cli.stages.model_files import chosen_threshold, why_useless
 from evetac_cli.stages.touch.known_gel import (
     DRIFT_PX,
     SHEAR_LOG_SD,
@@ -231,7 +231,13 @@ class SlipDetector:
                 warnings.warn(f"{file.path} is not a slip detector: {why}", stacklevel=2)
             try:
                 self._detector = OnlineSlipDetector.start(
-                    file, dot_xy_px, gel.window_px, constants, gel.sensitivity, frame_px=gel.frame_px
+                    file,
+                    dot_xy_px,
+                    gel.window_px,
+                    constants,
+                    chosen_threshold(file),
+                    gel.sensitivity,
+                    frame_px=gel.frame_px,
                 )
             except InputError as error:
                 error.hint = no_rows or error.hint

@@ -144,7 +144,7 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """Place an object and touch it lightly; the seed determines all random choices."""
         from evetac_cli.devices.simulated import SimulatedGripper, rig
         from evetac_cli.kernels.tracking import presets
-        from evetac_cli.stages.model_files import require_useful
+        from evetac_cli.stages.model_files import chosen_threshold, require_useful
         from evetac_cli.trials.grasp.online_detector import open_detector
 
         super().reset(seed=seed)
@@ -163,7 +163,9 @@ class LiftEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._gripper = devices.gripper
         with StageFile(self._model, "model") as model:
             require_useful(model)
-            self._detector = open_detector(model, devices.camera.sensor, presets.PRESETS["stable"])
+            self._detector = open_detector(
+                model, devices.camera.sensor, presets.PRESETS["stable"], chosen_threshold(model)
+            )
         self._control = _Chosen(FixedGrip(0), self._timing.control_hz)
         self._playing = grasp_slices(devices, self._detector, self._control, self._timing)
         self._sample = {"object": object_name, "mass_kg": json.loads(devices.sampled)["mass_kg"], "simulated": True}

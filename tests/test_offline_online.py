@@ -80,7 +80,8 @@ def open_online(model: StageFile, recording: Recording) -> OnlineSlipDetector:
     dots = recording.dot_xy_px
     assert dots is not None
     constants = presets.PRESETS["stable"].for_dots(recording.dot_radius_px)
-    online = OnlineSlipDetector.start(model, dots, recording.window_px, constants, recording.sensitivity)
+    threshold = chosen_threshold(model)
+    online = OnlineSlipDetector.start(model, dots, recording.window_px, constants, threshold, recording.sensitivity)
     online.sticking = None  # as in the features: neither gripper nor sticking share is known
     return online
 
@@ -100,7 +101,7 @@ def test_live_features_are_those_of_the_files(made: Made, model_path: Path, cuts
         offline = detector.over(series.dots if isinstance(series, DotsAndExtras) else series)
     # A threshold that a probability just reaches in float32 and misses in float64: both sides must round alike.
     highest = float(np.nanmax(levels(offline)[: len(offline) // 2]))
-    online.threshold = highest * (1 + 1e-9)
+    online.alarm.threshold = highest * (1 + 1e-9)
     decisions = np.cumsum(alarming(offline, online.threshold))
     assert decisions[-1] > 0
     slicer = Slicer()

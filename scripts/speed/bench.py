@@ -39,6 +39,7 @@ from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.resources import MODEL
 from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.setup.plan import first_plan
+from evetac_cli.stages.model_files import chosen_threshold
 from evetac_cli.store.files import StageFile
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 
@@ -195,7 +196,8 @@ def online_step(count: int = 500) -> list[dict[str, object]]:
     """Time the pretrained detector's step from the events of a slice to slip probability and control signal."""
     with StageFile(MODEL, "model") as model:
         name, constants = model.read("architecture"), presets.PRESETS[Grasp().tracker]
-        detector = OnlineSlipDetector.start(model, DOTS_PX.reshape(7, 9, 2)[:, :8], (540, 0, 640, 480), constants)
+        dots, threshold = DOTS_PX.reshape(7, 9, 2)[:, :8], chosen_threshold(model)
+        detector = OnlineSlipDetector.start(model, dots, (540, 0, 640, 480), constants, threshold)
     rng = np.random.default_rng(0)
     turn = itertools.cycle([events_near(rng, count) for _ in range(200)])
 

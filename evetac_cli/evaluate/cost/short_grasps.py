@@ -22,6 +22,7 @@ from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.tracking import presets
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.sim.setup.plan import Plan, first_plan
+from evetac_cli.stages.model_files import chosen_threshold
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.trial_writer import TrialBuffer
 from evetac_cli.trials.grasp.loop import SliceDetector, Timing, grasp_slices
@@ -144,12 +145,9 @@ def run_short_grasp(
     buffer = TrialBuffer()
     try:
         with StageFile(model or resources.MODEL, "model") as file:
-            detector = TimedDetector(
-                wrap_detector(
-                    open_detector(file, devices.camera.sensor, presets.PRESETS[Grasp.tracker]),
-                    devices,
-                )
-            )
+            constants, threshold = presets.PRESETS[Grasp.tracker], chosen_threshold(file)
+            opened = open_detector(file, devices.camera.sensor, constants, threshold)
+            detector = TimedDetector(wrap_detector(opened, devices))
         for _, rows in grasp_slices(devices, detector, control, timing):
             buffer.append_rows(rows)
             if float(np.hypot(*rows["truth/object_xy_px"])) * plan.sensor.mm_per_px > LOST_MM:

@@ -8,7 +8,7 @@ stabilise each other. A network for a cut gel only gets the dots that a cut gel 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +68,7 @@ class OnlineSlipDetector:
     """The state of the detector after the slices so far."""
 
     live: Live
-    alarm: AlarmState = field(default_factory=lambda: alarms.start(1.0))
+    alarm: AlarmState
     probability: float = float("nan")
     sticking: StickingShare | None = None  # for a network trained with the sticking share, or a law that needs it
     _gripper_state: tuple[float, float] = (float("nan"), float("nan"))  # position and goal of the gripper
@@ -80,11 +80,14 @@ class OnlineSlipDetector:
         dot_xy_px: NDArray[np.float64],
         window_px: NDArray[np.int32] | tuple[int, int, int, int] | None,
         constants: presets.TrackerConstants,
+        threshold: float,
         sensor: Sensitivity = UNKNOWN_SENSITIVITY,
         *,
         frame_px: Sequence[int] = FRAME_PX,
     ) -> "OnlineSlipDetector":
         """Load a model for a gel whose dots are at rest at (rows, columns, 2); InputError if it is for another grid.
+
+        threshold: the probability that three consecutive slices must reach for an alarm, see `chosen_threshold`.
 
         sensor: the known sensitivity of the sensor; frame_px: width and height of its frame.
         """
@@ -93,7 +96,7 @@ class OnlineSlipDetector:
         detector = load_detector(model)
         live = Live(detector, tracking, window_px, sensor, dots)
         tracker.mean_displacement_px(tracking.record)  # compiles or loads it now instead of in the first slice
-        started = cls(live, alarms.start(chosen_threshold(model)))
+        started = cls(live, alarms.start(threshold))
         if "sticking" in detector.learned_extras:
             started.measure_sticking()
         return started
@@ -109,10 +112,6 @@ class OnlineSlipDetector:
     def threshold(self) -> float:
         """The probability that three consecutive slices must reach."""
         return self.alarm.threshold
-
-    @threshold.setter
-    def threshold(self, value: float) -> None:
-        self.alarm.threshold = value
 
     @property
     def count(self) -> int:
@@ -161,13 +160,13 @@ def open_detector(
     model: StageFile,
     sensor: Mapping[str, Any],
     constants: presets.TrackerConstants,
-    threshold: float | None = None,
+    threshold: float,
     *,
     sticking: bool = False,
 ) -> OnlineSlipDetector:
     """Return the detector of a model, for a sensor with these datasets `sensor/...`, set up for a controller.
 
-    threshold: None for the model's own. constants: of the tracker, for dots of the usual size;
+    threshold: of its alarms. constants: of the tracker, for dots of the usual size;
     sticking: whether the signal includes the sticking share. InputError if the model is for another dot grid.
     """
     constants = constants.for_dots(float(sensor["sensor/dot_radius_px"]))
@@ -176,10 +175,10 @@ def open_detector(
         sensor["sensor/dot_xy_px"],
         sensor.get("sensor/window_px"),
         constants,
+        threshold,
         sensitivity_of(sensor),
         frame_px=sensor["sensor/frame_px"],
     )
-    detector.threshold = chosen_threshold(model) if threshold is None else threshold
     if sticking:
         detector.measure_sticking()
     return detector

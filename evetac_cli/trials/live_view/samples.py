@@ -44,8 +44,11 @@ DIGITS = 3  # digits after the decimal point in a map
 class ViewDetector(Protocol):
     """A slip detector with its tracker, for example an `OnlineSlipDetector`."""
 
-    threshold: float
     probability: float
+
+    @property
+    def threshold(self) -> float:
+        """The probability that an alarm needs."""
 
     def step(self, events: Events) -> float:
         """Return the slip probability after one more slice."""
