@@ -30,9 +30,6 @@ MANY = {
     "parameter.py parameter": "what a flag may state, by keyword only",
     "training.py train": "what a run is given, by keyword but for its data",
     "gel.py step": "the physics of a step; by keyword, how exactly it is solved",
-    "contact.py force_curve": "constants of the contact; by keyword, the grid of the table",
-    "perform.py perform": "by keyword but for what is made and where; tests replace how a command is run",
-    "made_tables.py table_of": "what a table states, by keyword but for its content",
 }
 
 

@@ -22,14 +22,13 @@ from contextlib import nullcontext, redirect_stdout
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 from evetac_cli.jobs import Row
 from scripts.reproduce import compare, frozen
 from scripts.reproduce.checks import CHECKS, NOT_CHECKED, SCRIPTS, SIZES
 from scripts.reproduce.experiment import Check, Experiment, ScriptCheck
-from scripts.reproduce.facts import RESULTS, Refusal, commit_facts, hours, model_files, report_header, spending
-from scripts.reproduce.perform import MODELS, Run, evaluate, expand, in_order, perform, run_command, sizes_for
+from scripts.reproduce.facts import RESULTS, Refusal, commit_facts, hours, model_files, spending
+from scripts.reproduce.perform import MODELS, Running, evaluate, expand, in_order, perform, sizes_for
 from scripts.reproduce.plan import EXPERIMENTS
 from scripts.reproduce.steps import Command, Sizes
 from scripts.reproduce.tables import Evaluation, Table
@@ -194,7 +193,7 @@ def made_by_hand() -> dict[str, str]:
 # --- one table again --------------------------------------------------------------------------------------------------
 
 
-def make(name: str, out: Path, results: Path, given: dict[str, str] | None = None, **how: Any) -> bool:
+def make(name: str, out: Path, results: Path, running: Running, given: dict[str, str] | None = None) -> bool:
     """Make a table whole, with what it builds on, and print how it compares with the stored one; True if equal.
 
     given: sizes that differ from full size, as text, for a smaller table.
@@ -204,9 +203,9 @@ def make(name: str, out: Path, results: Path, given: dict[str, str] | None = Non
     except KeyError:
         raise Refusal(f"no experiment makes the table {name}; run.py --list has those that one makes") from None
     for earlier in in_order(experiment.after):
-        perform(earlier, dict(earlier.full), out, results, **how)
+        perform(earlier, dict(earlier.full), out, results, running, replace=True)
     sizes = sizes_for(experiment, small=False, given=given or {})
-    perform(only_for(experiment, table), sizes, out, results, **how)
+    perform(only_for(experiment, table), sizes, out, results, running, replace=True)
     path = RESULTS / f"{name}.json"
     if not path.exists():
         print(f"{name}: docs/results has no such table yet")
@@ -246,13 +245,13 @@ def finished(out: Path, name: str) -> Row | None:
     return stored if stored is not None and stored["table_sha256"] == table_digest(name) else None
 
 
-def carried_out(chosen: Plan, out: Path, **how: Any) -> Row:
+def carried_out(chosen: Plan, out: Path, running: Running) -> Row:
     """Run a check and return its result."""
     name, folder = chosen.table.name, out / chosen.experiment.folder
     began = time.time()
     placed = [path for target, archive in chosen.archives.items() for path in unpack(archive, folder / target)]
     results = out / "checks" / "tables"
-    evaluations = perform(chosen.experiment, chosen.sizes, out, results, replace=True, **how)
+    evaluations = perform(chosen.experiment, chosen.sizes, out, results, running, replace=True)
     kept = json.loads((RESULTS / f"{name}.json").read_text())
     made = json.loads((results / f"{name}.json").read_text())
     used = {one: evaluations[one] for one in chosen.table.evaluations if one in evaluations}
@@ -263,7 +262,7 @@ def carried_out(chosen: Plan, out: Path, **how: Any) -> Row:
         "models": models_differing(kept.get("models", {}), placed),
     }
     if chosen.again is not None:
-        found["training"] = training(chosen, placed, folder, kept["rows"], used, how.get("run", run_command))
+        found["training"] = training(chosen, placed, folder, kept["rows"], used, running)
     return found
 
 
@@ -281,14 +280,14 @@ def compared_with(name: str, made: list[Row], trials: list[Row], check: Check, b
     }
 
 
-def by_script(name: str, chosen: ScriptCheck, out: Path, run: Run = run_command) -> Row:
+def by_script(name: str, chosen: ScriptCheck, out: Path, running: Running) -> Row:
     """Make a table again by its own script, on fewer trials, and return the comparison."""
     folder, began = out / "scripts" / name, time.time()
     (folder / "tables").mkdir(parents=True, exist_ok=True)
     for words in chosen.commands:
         print("+", *words, flush=True)
         with spending(folder, name):
-            code, _ = run(words, folder)
+            code, _ = running.run(words, folder)
         if code:
             raise Refusal(f"{' '.join(words)} ended with exit code {code}")
     made = json.loads((folder / "tables" / f"{name}.json").read_text())["rows"]
@@ -303,7 +302,7 @@ def models_differing(named: dict[str, str], placed: list[Path]) -> list[str]:
 
 
 def training(
-    chosen: Plan, placed: list[Path], folder: Path, kept: list[Row], used: dict[str, Evaluation], run: Run
+    chosen: Plan, placed: list[Path], folder: Path, kept: list[Row], used: dict[str, Evaluation], running: Running
 ) -> Row:
     """Compare the model that was trained again with the frozen ones; judge it where it is another network."""
     assert chosen.again is not None
@@ -321,7 +320,7 @@ def training(
         at = words.index("--model") + 1
         end = next((place for place in range(at, len(words)) if words[place].startswith("--")), len(words))
         alone = [*words[:at], str(path.relative_to(folder)), *words[end:]]
-        judged = evaluate(f"{AGAIN}-{name}", alone, folder, run, report_header)
+        judged = evaluate(f"{AGAIN}-{name}", alone, folder, running)
         evaluations = {name: judged}
         assert chosen.check.trials is not None
         made = chosen.table.rows(evaluations)
@@ -361,7 +360,7 @@ def summary_lines(found: Row) -> Iterator[str]:
             yield f"  training again: {other}; {good} of {len(again['figures'])} figures agree"
 
 
-def check(names: Sequence[str], out: Path, *, dry_run: bool = False, as_json: bool = False, **how: Any) -> None:
+def check(names: Sequence[str], out: Path, running: Running, *, dry_run: bool = False, as_json: bool = False) -> None:
     """Check tables, all with no names given; Refusal for a table that no check repeats."""
     stored = {path.stem for path in RESULTS.glob("*.json")}
     every = [name for name in (*CHECKS, *SCRIPTS) if name in stored]
@@ -392,9 +391,9 @@ def check(names: Sequence[str], out: Path, *, dry_run: bool = False, as_json: bo
         if found is None:
             with redirect_stdout(sys.stderr) if as_json else nullcontext():  # the tables that it makes are printed
                 if name in plans:
-                    found = carried_out(plans[name], out, **how)
+                    found = carried_out(plans[name], out, running)
                 else:
-                    found = by_script(name, SCRIPTS[name], out, how.get("run", run_command))
+                    found = by_script(name, SCRIPTS[name], out, running)
             path = state_path(out, name)
             path.parent.mkdir(parents=True, exist_ok=True)
             unfinished = path.with_suffix(".json.part")

@@ -125,14 +125,12 @@ def table_of(
     command: str,
     sizes: dict[str, Any],
     *,
-    across: dict[str, str] | None = None,
     notes: Sequence[str] = (),
-    hours: float | None = None,
 ) -> Row:
     """Return a table of simulated rows that a script measured, with the current commit and computer.
 
     columns: the cell (a format string over a row) of each heading; command: the command that makes the table; sizes:
-    seeds and numbers of trials; hours: core hours spent, if they were measured.
+    seeds and numbers of trials.
     """
     table = {
         "name": name,
@@ -144,11 +142,10 @@ def table_of(
         "recipe_ids": [],
         "sizes": sizes,
         "columns": [{"heading": heading, "cell": cell} for heading, cell in columns.items()],
-        "across": across,
+        "across": None,
         "notes": list(notes),
         "rows": rows,
         "machine": machine(),
-        **({} if hours is None else {"hours": hours}),
     }
     return table | of_freeze(table)
 

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -71,14 +72,6 @@ def sizes_for(experiment: Experiment, *, small: bool, given: dict[str, str]) -> 
         except ValueError as error:
             raise Refusal(f"--size {name}={value}: expected {type(usual).__name__}, for example {usual}") from error
     return sizes
-
-
-def with_engine(words: Command, jobs: int, engine: str) -> Command:
-    """Add engine and number of jobs to a command that works on files; a running cluster has its own number."""
-    if words[1] not in IN_PARALLEL and words[1:3] != ["evaluate", "slip"]:
-        return words
-    ours = words[0] == "evetac"
-    return [*words, *(["--engine", engine] if ours and engine != "local" else ["--jobs", str(jobs)])]
 
 
 def in_order(names: Iterable[str]) -> list[Experiment]:
@@ -144,16 +137,35 @@ def expand(words: Command, folder: Path) -> Command:
     return expanded
 
 
-def evaluate(name: str, words: Command, folder: Path, run: Run, header: Callable[[Path], Row]) -> Evaluation:
+@dataclass(frozen=True)
+class Running:
+    """How commands are run: files at the same time, and the engine of evetac; tests replace `run` and `header`."""
+
+    jobs: int = 1
+    engine: str = "local"
+    run: Run = run_command
+    header: Callable[[Path], Row] = report_header
+
+    def parallel(self, words: Command) -> Command:
+        """Add engine and number of jobs to a command that works on files; a running cluster has its own number."""
+        if words[1] not in IN_PARALLEL and words[1:3] != ["evaluate", "slip"]:
+            return words
+        on_cluster = words[0] == "evetac" and self.engine != "local"
+        return [*words, *(["--engine", self.engine] if on_cluster else ["--jobs", str(self.jobs)])]
+
+
+def evaluate(name: str, words: Command, folder: Path, running: Running) -> Evaluation:
     """Run an evaluation, or read its report if that is up to date; a report of other files is made again."""
     command = [*expand(words, folder), "--out", f"{name}.report.h5", "--json"]
-    code, printed = run(command, folder)
+    code, printed = running.run(command, folder)
     if code == 2:  # usually there is a report of fewer or other files; any other error is printed twice
-        code, printed = run([*command, "--force"], folder)
+        code, printed = running.run([*command, "--force"], folder)
     if code:
         raise Refusal(f"{' '.join(words)} ended with exit code {code}")
     answer = json.loads(printed)
-    return Evaluation(answer["rows"], answer["summary"], answer["simulated"], header(folder / f"{name}.report.h5"))
+    return Evaluation(
+        answer["rows"], answer["summary"], answer["simulated"], running.header(folder / f"{name}.report.h5")
+    )
 
 
 def is_there(words: Command, folder: Path) -> bool:
@@ -172,12 +184,9 @@ def perform(
     sizes: Sizes,
     out: Path,
     results: Path,
+    running: Running,
     *,
-    jobs: int,
-    replace: bool,
-    engine: str = "local",
-    run: Run = run_command,
-    header: Callable[[Path], Row] = report_header,
+    replace: bool = False,
 ) -> dict[str, Evaluation]:
     """Run an experiment's commands, evaluations and measurement; print and store its tables; return the evaluations."""
     folder, started = out / experiment.folder, time.time()
@@ -190,16 +199,16 @@ def perform(
         if is_there(step, folder):
             continue
         with spending(folder, experiment.name):
-            code, _ = run(with_engine(expand(step, folder), jobs, engine), folder)
+            code, _ = running.run(running.parallel(expand(step, folder)), folder)
         if code:
             raise Refusal(f"{' '.join(step)} ended with exit code {code}")
     with spending(folder, experiment.name):
-        evaluations = experiment.measure(sizes, folder, jobs) if experiment.measure else {}
+        evaluations = experiment.measure(sizes, folder, running.jobs) if experiment.measure else {}
     commands = dict.fromkeys(evaluations, own_command(experiment, sizes))
     for name, words in experiment.evaluations(sizes).items():
         print("+", *words, flush=True)
         with spending(folder, experiment.name):
-            evaluations[name] = evaluate(name, with_engine(words, jobs, engine), folder, run, header)
+            evaluations[name] = evaluate(name, running.parallel(words), folder, running)
         commands[name] = " ".join(words)
     said = (*experiment.steps(sizes), *experiment.evaluations(sizes).values())
     judged = {path for words in said for path in model_files(expand(words, folder), folder)}

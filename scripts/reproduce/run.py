@@ -25,7 +25,7 @@ from evetac_cli.errors import EvetacError
 from scripts.reproduce import check_tables
 from scripts.reproduce.experiment import Experiment
 from scripts.reproduce.facts import RESULTS, ROOT, Refusal
-from scripts.reproduce.perform import as_text, in_order, perform, sizes_for, with_engine
+from scripts.reproduce.perform import Running, as_text, in_order, perform, sizes_for
 from scripts.reproduce.plan import EXPERIMENTS
 from scripts.reproduce.steps import Sizes
 
@@ -40,12 +40,12 @@ def print_list() -> None:
         print(f"{'':12} " + " ".join(f"{name}={as_text(value)}" for name, value in experiment.full.items()))
 
 
-def print_commands(experiment: Experiment, sizes: Sizes, out: Path, jobs: int, engine: str) -> None:
+def print_commands(experiment: Experiment, sizes: Sizes, out: Path, running: Running) -> None:
     print(f"mkdir -p {out / experiment.folder}; cd {out / experiment.folder}")
     for step in experiment.steps(sizes):
-        print(*with_engine(step, jobs, engine))
+        print(*running.parallel(step))
     for name, words in experiment.evaluations(sizes).items():
-        print(*with_engine(words, jobs, engine), "--out", f"{name}.report.h5", "--json")
+        print(*running.parallel(words), "--out", f"{name}.report.h5", "--json")
     if experiment.measure:
         measure = experiment.measure
         print(f"# {measure.__module__}.{measure.__qualname__} measures the rest")
@@ -57,11 +57,11 @@ def make_or_check(chosen: argparse.Namespace, given: dict[str, str]) -> None:
     Without --out, files go to data/again/.
     """
     out = ROOT / "data" / "again" / ("check" if chosen.check else "whole") if chosen.out == ROOT else chosen.out
-    how = {"jobs": chosen.jobs, "engine": chosen.engine}
+    running = Running(chosen.jobs, chosen.engine)
     if chosen.table:
-        check_tables.make(chosen.table, out, chosen.results or out / "tables", given, replace=True, **how)
+        check_tables.make(chosen.table, out, chosen.results or out / "tables", running, given)
     else:
-        check_tables.check(chosen.only, out, dry_run=chosen.dry_run, as_json=chosen.json, **how)
+        check_tables.check(chosen.only, out, running, dry_run=chosen.dry_run, as_json=chosen.json)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -106,15 +106,14 @@ def main(arguments: list[str] | None = None) -> None:
             raise Refusal(f"no chosen experiment has the size {', '.join(unknown)}; --list prints all sizes")
         out = chosen.out / "small" if chosen.small else chosen.out
         results = out / "results" if chosen.small else RESULTS
+        running = Running(chosen.jobs, chosen.engine)
         for experiment in experiments:
             sizes = sizes_for(experiment, small=chosen.small, given=given)
             if chosen.dry_run:
-                print_commands(experiment, sizes, out, chosen.jobs, chosen.engine)
+                print_commands(experiment, sizes, out, running)
             else:
                 usual = results if experiment.published else out / experiment.folder
-                table_folder = chosen.results or usual
-                how = {"jobs": chosen.jobs, "replace": chosen.replace, "engine": chosen.engine}
-                perform(experiment, sizes, out, table_folder, **how)
+                perform(experiment, sizes, out, chosen.results or usual, running, replace=chosen.replace)
     except (Refusal, EvetacError) as refusal:
         raise SystemExit(f"error: {refusal}") from None
     except KeyboardInterrupt:

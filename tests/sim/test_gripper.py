@@ -24,7 +24,7 @@ TOUCH_TICKS = 437.0
 def make_curve(shape="cylinder", width_m=0.048, finger_n_m=1.8e3, modulus_pa=1e6):
     nodes = pad_nodes(10, 14, (-10e-3, 10e-3), (-7.5e-3, 7.5e-3))
     gap = gap_profile(nodes, shape, width_m / 2, 3e-3)
-    return force_curve(gap, cell_area(nodes), modulus_pa, 4e-3, finger_n_m, metres_per_tick(width_m))
+    return force_curve(gap, modulus_pa / 4e-3 * cell_area(nodes), 4e-3, finger_n_m, metres_per_tick(width_m))
 
 
 CURVE = make_curve()

@@ -89,7 +89,7 @@ def finger_cases() -> list[FingerCase]:
 def finger_curve(finger_n_m: float) -> ForceCurve:
     """Return force over the fingers' position on a cylinder of 6 cm, with links of this stiffness."""
     gap = gap_profile(pad_nodes(12, 9, X_RANGE_M, Y_RANGE_M), "cylinder", 0.03)
-    return force_curve(gap, AREA_M2 / 108, 2e6, 4e-3, finger_n_m, gripper.metres_per_tick(0.06))
+    return force_curve(gap, 2e6 / 4e-3 * (AREA_M2 / 108), 4e-3, finger_n_m, gripper.metres_per_tick(0.06))
 
 
 def finger_rows(case: FingerCase, steps: int = 200) -> Rows:

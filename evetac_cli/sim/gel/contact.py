@@ -121,8 +121,7 @@ class ForceCurve:
 
 def force_curve(
     gaps: CellGaps,
-    cell_area_m2: float,
-    normal_modulus_pa: float,
+    node_stiffness_n_m: float,
     gel_height_m: float,
     finger_stiffness_n_m: float,
     metres_per_tick: float,
@@ -133,15 +132,16 @@ def force_curve(
 ) -> ForceCurve:
     """Return the table of N and indentation d over the closing c: c * metres_per_tick = 2 d + N / stiffness.
 
-    metres_per_tick is the change of the gap between the fingers. finger_stiffness_n_m is the stiffness of fingers,
-    links and mounts for that gap. N(d) = E/H * area of a point * sum of (d - gap) over pressed points. N(d) is linear
-    between the gaps of two points, so the table is exact at its entries. It ends at reach_ticks (120 ticks are about
-    20 mm, 30 N with the fingers' 1.8 N/mm), or earlier if the gel would be pressed flat (d = gel height).
+    node_stiffness_n_m is E/H * area of a point; N(d) = node_stiffness_n_m * sum of (d - gap) over pressed points. It is
+    linear between the gaps of two points, so the table is exact at its entries. metres_per_tick is the change of the
+    gap between the fingers, and finger_stiffness_n_m the stiffness of fingers, links and mounts for that gap. The table
+    ends at reach_ticks (120 ticks are about 20 mm, 30 N with the fingers' 1.8 N/mm), or earlier if the gel would be
+    pressed flat (d = gel height).
 
     second_stiffness: of the second finger's gel relative to the first's, if they differ.
     """
     assert np.isfinite(gaps.sample_m).all() and gaps.least_m == 0.0
-    force, corner = _indentation_curve(gaps, normal_modulus_pa / gel_height_m * cell_area_m2, gel_height_m)
+    force, corner = _indentation_curve(gaps, node_stiffness_n_m, gel_height_m)
     second = corner
     if second_stiffness is not None:  # a corner at each point of either gel that comes into contact
         pushes = np.unique(np.concatenate([force, second_stiffness * force]))

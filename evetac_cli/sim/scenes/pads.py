@@ -118,8 +118,7 @@ class Pads:
         self.second = SecondFinger.of(plan)
         self.curve = contact.force_curve(
             self.gaps,
-            contact.cell_area(nodes),
-            sensor.normal_modulus_pa,
+            sensor.normal_modulus_pa / layer.height_m * contact.cell_area(nodes),
             layer.height_m,
             FINGER_STIFFNESS_N_M if own_stiffness is None else own_stiffness,
             gripper.metres_per_tick(width_m),

@@ -129,6 +129,10 @@ def fake_trials(evaluations: dict[str, Evaluation]) -> list[Row]:
     return [{**row, "unit": row["file"]} for row in evaluations["errors"].rows if "file" in row]
 
 
+def running(run: perform.Run) -> perform.Running:
+    return perform.Running(run=run, header=lambda path: HEADER)
+
+
 @pytest.fixture
 def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A stored table of ten trajectories, and its check on three; returns the folder of the stored tables."""
@@ -141,50 +145,48 @@ def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(check_tables, "CHECKS", {"fake": check})
     monkeypatch.setattr(check_tables, "SIZES", {"fake": {"count": 3}})
     monkeypatch.setattr(check_tables, "SCRIPTS", {})
-    perform.perform(FAKE, FAKE.full, tmp_path / "whole", results, jobs=1, replace=True, run=FakeRun(10),
-                      header=lambda path: HEADER)  # fmt: skip
+    perform.perform(FAKE, FAKE.full, tmp_path / "whole", results, running(FakeRun(10)))
     return results
 
 
 def test_a_check_is_resumed(fake: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Assert that a finished check is not run again before its table changes, and that an interrupted one is."""
     out = tmp_path / "check"
-    how: dict[str, Any] = {"jobs": 1, "header": lambda path: HEADER}
 
     def interrupted(words: list[str], folder: Path) -> tuple[int, str]:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        check_tables.check([], out, run=interrupted, **how)
+        check_tables.check([], out, running(interrupted))
     assert not list((out / "checks").rglob("fake.json"))
     run = FakeRun(3)
-    check_tables.check([], out, run=run, **how)
+    check_tables.check([], out, running(run))
     assert run.commands[0] == ["evetac", "record", "--count", "3", "--out", "trials", "--jobs", "1"]
     capsys.readouterr()
-    check_tables.check(["fake"], out, run=interrupted, as_json=True, **how)
+    check_tables.check(["fake"], out, running(interrupted), as_json=True)
     (found,) = json.loads(capsys.readouterr().out)
     (figure,) = found["figures"]
     assert (figure["stored"], figure["again"], figure["inside"]) == (pytest.approx(0.45), pytest.approx(0.1), False)
     assert found["whole"] is False and found["differences"]
     path = fake / "fake.json"
     path.write_text(path.read_text().replace("0.45", "0.1"))
-    check_tables.check(["fake"], out, run=run, **how)
+    check_tables.check(["fake"], out, running(run))
     assert "fake: 1 of 1 figures agree" in capsys.readouterr().out
 
 
 def test_a_table_made_again_is_compared(fake: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Assert that equal rows are said to be equal, and that a digit that was changed in the stored table is named."""
-    how: dict[str, Any] = {"jobs": 1, "replace": True, "header": lambda path: HEADER, "run": FakeRun(10)}
-    assert check_tables.make("fake", tmp_path / "a", tmp_path / "a" / "tables", **how)
+    run = running(FakeRun(10))
+    assert check_tables.make("fake", tmp_path / "a", tmp_path / "a" / "tables", run)
     assert "all rows are equal" in capsys.readouterr().out
     path = fake / "fake.json"
     stored = json.loads(path.read_text())
     stored["rows"][0]["error_px"] += 0.01
     path.write_text(json.dumps(stored))
-    assert not check_tables.make("fake", tmp_path / "b", tmp_path / "b" / "tables", **how)
+    assert not check_tables.make("fake", tmp_path / "b", tmp_path / "b" / "tables", run)
     assert "a: error_px" in capsys.readouterr().out
     with pytest.raises(Refusal, match="no experiment makes the table"):
-        check_tables.make("lost", tmp_path / "b", tmp_path / "b", **how)
+        check_tables.make("lost", tmp_path / "b", tmp_path / "b", run)
 
 
 @pytest.mark.parametrize("name", SCRIPTS)

@@ -95,7 +95,7 @@ def run_labels(tmp_path: Path, objects: list[int], *, replace: bool = False) -> 
     experiment = EXAMPLE
     perform.perform(
         experiment, dict(experiment.full), tmp_path, tmp_path / "results",
-        jobs=3, replace=replace, run=fake.run, header=fake.header,
+        perform.Running(3, run=fake.run, header=fake.header), replace=replace,
     )  # fmt: skip
     return fake
 
@@ -141,7 +141,7 @@ def test_a_command_that_fails_ends_the_run(tmp_path: Path) -> None:
     with pytest.raises(Refusal, match="evetac record .* exit code 3"):
         perform.perform(
             experiment, dict(experiment.full), tmp_path, tmp_path / "results",
-            jobs=1, replace=False, run=lambda words, folder: (3, ""), header=lambda path: {},
+            perform.Running(run=lambda words, folder: (3, ""), header=lambda path: {}),
         )  # fmt: skip
     assert not (tmp_path / "results").exists()
 
@@ -154,7 +154,8 @@ def test_a_report_of_other_files_is_made_anew(tmp_path: Path) -> None:
         commands.append(words)
         return (0, '{"rows": [], "summary": {}, "simulated": true}') if "--force" in words else (2, "")
 
-    perform.evaluate("labels", ["evetac", "evaluate", "labels"], tmp_path, run, lambda path: header([1]))
+    running = perform.Running(run=run, header=lambda path: header([1]))
+    perform.evaluate("labels", ["evetac", "evaluate", "labels"], tmp_path, running)
     assert [words[-1] for words in commands] == ["--json", "--force"]
 
 

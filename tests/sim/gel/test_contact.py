@@ -25,7 +25,7 @@ def pad(columns=24, rows=18):
 
 
 def curve_of(gap, area, **changes):
-    return force_curve(gap, area, MODULUS_PA, HEIGHT_M, FINGER_N_M, TICK_M, **changes)
+    return force_curve(gap, MODULUS_PA / HEIGHT_M * area, HEIGHT_M, FINGER_N_M, TICK_M, **changes)
 
 
 def test_pad_nodes_are_cell_centres():
@@ -118,7 +118,7 @@ def test_curve_ends_where_asked_or_with_the_gel():
     assert (np.diff(flat.force_n) > 0).all()
 
 
-CONSTANTS = (1e-6, MODULUS_PA, HEIGHT_M, FINGER_N_M, TICK_M)
+CONSTANTS = (MODULUS_PA / HEIGHT_M * 1e-6, HEIGHT_M, FINGER_N_M, TICK_M)
 REFUSED = [
     *(({"radius_m": value}, "found") for value in (0.0, np.nan)),
     ({"constants": CONSTANTS, "step_ticks": 1e4, "reach_ticks": 1e5}, "step_ticks"),
