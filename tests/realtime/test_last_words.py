@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from evetac_cli.errors import DeviceError
-from evetac_cli.realtime.last_words import LastWords, exit_words, telling
+from evetac_cli.realtime.processes import LastWords, exit_words, telling
 from tests.patience import PATIENCE_S
 from tests.quick import few
 

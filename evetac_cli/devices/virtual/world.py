@@ -36,9 +36,15 @@ from evetac_cli.devices import OF_SECOND, EventCamera
 from evetac_cli.devices.virtual.servo_plant import Goals, ServoMotion, SharedPlant
 from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.interrupts import ignore_interrupts
-from evetac_cli.realtime.last_words import LastWords, exit_words, telling, with_reason
 from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
-from evetac_cli.realtime.processes import start_shielded, wait_while_computing
+from evetac_cli.realtime.processes import (
+    LastWords,
+    exit_words,
+    start_shielded,
+    telling,
+    wait_while_computing,
+    with_reason,
+)
 from evetac_cli.realtime.shared_time import READER_S, SharedTime
 from evetac_cli.sim.setup.plan import Plan
 

@@ -11,7 +11,7 @@ from evetac_cli.formats.write.hub_card import Card, card_fields, inline, opening
 from evetac_cli.inspect import info, validate
 from evetac_cli.inspect.share.sections import UNLIKE, citation, made_with
 from evetac_cli.stages.model_files import why_useless
-from evetac_cli.stages.train.plan import course
+from evetac_cli.stages.train import course
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.ancestry import EARLIER
 from evetac_cli.store.layout.provenance import Header

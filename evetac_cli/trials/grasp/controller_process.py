@@ -40,9 +40,8 @@ from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import SLICE_US
 from evetac_cli.interrupts import ignore_interrupts, remember_signals
 from evetac_cli.kernels.grip.control import Control, Law
-from evetac_cli.realtime.last_words import error_words
 from evetac_cli.realtime.message_pipe import MessageWriter, PeerGone, take_order
-from evetac_cli.realtime.processes import raise_if_ended, set_realtime_priority, stands_still
+from evetac_cli.realtime.processes import error_words, raise_if_ended, set_realtime_priority, stands_still
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.trials.grasp.loop import Timing, control_row

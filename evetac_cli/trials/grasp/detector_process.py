@@ -26,9 +26,8 @@ from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, empty
 from evetac_cli.interrupts import ignore_interrupts, remember_signals
 from evetac_cli.kernels.grip.control import SlipSignal
-from evetac_cli.realtime.last_words import error_words
 from evetac_cli.realtime.message_pipe import MessageWriter, PeerGone, take_order
-from evetac_cli.realtime.processes import NICE, raise_if_ended, set_niceness
+from evetac_cli.realtime.processes import NICE, error_words, raise_if_ended, set_niceness
 from evetac_cli.realtime.shared_status import REMEMBERED, DetectorStatus, SharedStatus
 from evetac_cli.trials.grasp.loop import SliceDetector
 from evetac_cli.trials.grasp.settings import DetectorModel
