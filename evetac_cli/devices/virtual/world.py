@@ -28,7 +28,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -101,8 +101,8 @@ class VirtualWorld:
         self._process: BaseProcess | None = context.Process(
             target=telling,
             args=(
-                *(self._last_words, _run_world, _Setup(plan, seeds, durations, waits)),
-                *(self.plant, orders, words, truth_pipe, self._counters),
+                *(self._last_words, _run_world, orders, self.plant, words, truth_pipe, self._counters),
+                *(waits, plan, seeds, durations),
             ),
             name="evetac-world",
             daemon=True,
@@ -219,26 +219,10 @@ class VirtualWorld:
         self.plant.close()
 
 
-class _Setup(NamedTuple):
-    """What a world is built from."""
-
-    plan: Plan
-    seeds: np.random.SeedSequence
-    durations: dict[str, float]
-    waits: bool
-
-
-def _run_world(
-    setup: _Setup,
-    plant: SharedPlant,
-    orders: Connection,
-    words: Sequence[Connection],
-    truths: Connection | None,
-    counters: Any,
-) -> None:
+def _run_world(orders: Connection, plant: SharedPlant, *made_of: Any) -> None:
     """Run the world's process: build, report that, then obey orders until the other side has gone."""
     ignore_interrupts()  # Ctrl-C is for the recorder, which then ends this process
-    running_world, reply = _build(setup, plant, words, truths, counters)
+    running_world, reply = _build(plant, *made_of)
     try:
         orders.send(reply)
     except OSError:  # the recorder did not wait
@@ -274,16 +258,19 @@ class _RunningWorld:
 
     def __init__(
         self,
-        setup: _Setup,
         plant: SharedPlant,
         words: Sequence[Connection],
         truths: Connection | None,
         counters: Any,
+        waits: bool,
+        plan: Plan,
+        seeds: np.random.SeedSequence,
+        durations: dict[str, float],
     ) -> None:
         from evetac_cli.devices.dvxplorer.event_words import encode, timestamp
         from evetac_cli.devices.simulated import SimulatedGripper, rig
 
-        plan, seeds, durations, self._waits = setup
+        self._waits = waits
         first = rig(plan, np.random.SeedSequence(0), **durations)
         for _ in range(WARMING):  # loads or compiles everything before time is critical
             events = first.camera.read()

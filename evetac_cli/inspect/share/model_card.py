@@ -11,7 +11,6 @@ from evetac_cli.formats.write.hub_card import Card, card_fields, inline, opening
 from evetac_cli.inspect import info, validate
 from evetac_cli.inspect.share.sections import UNLIKE, citation, made_with
 from evetac_cli.stages.model_files import why_useless
-from evetac_cli.stages.train import course
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.ancestry import EARLIER
 from evetac_cli.store.layout.provenance import Header
@@ -35,9 +34,7 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
         raise InputError("an invalid model cannot be shared", where=str(path), found=checked["faults"], hint=hint)
     with StageFile(path) as file:
         header, what = file.header, WHAT[file.kind]
-        written = {"training.csv": course(file).encode()} if file.kind == "model" else {}
-        if file.has("onnx"):
-            written["model.onnx"] = file.read("onnx").tobytes()
+        written = {"model.onnx": file.read("onnx").tobytes()} if file.has("onnx") else {}
         score = (
             float(file.read("checkpoint/score")[int(file.read("checkpoint/chosen"))])
             if file.has("checkpoint")
@@ -93,8 +90,7 @@ FILES = (
     "- `{name}`: the model; `evetac info` shows it, `evetac grasp --model` and `evetac evaluate slip --model` use it"
 )
 OTHER_FILES = """
-- `model.onnx`: the same network for ONNX runtime
-- `training.csv`: loss and validation scores over the training steps"""
+- `model.onnx`: the same network for ONNX runtime"""
 
 
 def _data(header: Header) -> Iterator[dict[str, Any]]:

@@ -7,14 +7,10 @@ objects, by networks that are trained only for this purpose. --adapt continues f
 On the same trajectories, probabilities are calibrated, and the threshold is chosen by the rate of false alarms, except
 with preset paper (validating.py). So the validation trajectories should include trials without slip.
 
-The course of the training is written next to the model, as NAME.model.csv.
-
 An interrupted run leaves `NAME.model.RECIPE.part` for each network, and so does one that was refused at its end because
 another has made the output. The same command continues from there, with the same result as without the interruption.
 """
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,7 +49,6 @@ from evetac_cli.stages.related_files import check_disjoint, check_same, make_fol
 from evetac_cli.stages.train import validating
 from evetac_cli.stages.train.networks import group_parameters, series_bytes
 from evetac_cli.store.files import StageFile, header_of, up_to_date, write_stage
-from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.layout.rules import named_architecture
 from evetac_cli.store.recordings.onset import PERSON, abstains
@@ -319,7 +314,6 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     arrays["horizon_ms"] = np.int64(settings.horizon_ms)
     arrays |= validated.arrays("objects left out in turn" if params.folds else "named or held back")
     made = write_stage(job.output, recipe, arrays, force=force) is not None
-    write_course(job.output)
     networks.remove_states()
     return outcome(
         job,
@@ -417,39 +411,6 @@ def _label_method(learn: Sequence[Path], inputs: Sequence[InputFacts]) -> str:
         message, expected = "the files to train on are labelled by different methods", f"{first}, as in {path}"
         raise InputError(message, where=str(elsewhere), expected=expected, found=other)
     return ", ".join(sorted(methods)) or "none"
-
-
-COURSE = ("step", "loss", "validation_score", "threshold", "chosen", "simulated")
-
-
-def course(model: StageFile) -> str:
-    """Return the course of a training as CSV, with a row for each step with a loss or a checkpoint's score."""
-    rows: dict[int, dict[str, Any]] = {}
-    if model.has("curve/loss"):
-        for step, loss in zip(model.read("curve/step").tolist(), model.read("curve/loss").tolist(), strict=True):
-            rows.setdefault(step, {})["loss"] = loss
-    if model.has("checkpoint/step"):
-        chosen_number = int(model.read("checkpoint/chosen"))
-        figures = zip(
-            *(model.read(f"checkpoint/{name}").tolist() for name in ("step", "score", "threshold")), strict=True
-        )
-        for number, (step, score, threshold) in enumerate(figures):
-            row = {"validation_score": score, "threshold": threshold, "chosen": int(number == chosen_number)}
-            rows.setdefault(step, {}).update(row)
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COURSE, lineterminator="\n")
-    writer.writeheader()
-    simulated = "yes" if model.header["simulated"] else "no"
-    writer.writerows({"step": step, **rows[step], "simulated": simulated} for step in sorted(rows))
-    return text.getvalue()
-
-
-def write_course(model: Path) -> None:
-    """Write the CSV file next to a model, NAME.model.csv."""
-    with StageFile(model, "model") as file:
-        text = course(file)
-    with taking_the_place_of(model.with_suffix(".csv")) as temporary:
-        temporary.write_text(text)
 
 
 STAGE = Stage(jobs, run, cautions=cautions, parts=parts, for_people=for_people)

@@ -204,7 +204,7 @@ def test_it_goes_on_after_an_interruption(
     (row,) = train.run(job, params).rows
     assert row["resumed_at_step"] == 50
     assert contents(job.output) == contents(output)
-    assert sorted(path.name for path in job.output.parent.iterdir()) == ["hist10.model.csv", "hist10.model.h5"]
+    assert sorted(path.name for path in job.output.parent.iterdir()) == ["hist10.model.h5"]
 
 
 @pytest.mark.slow
@@ -387,7 +387,7 @@ def test_folds_choose_the_threshold_alone(trials: list[Path], tmp_path: Path, mo
     assert left == [f"hist10.model.{recipe}.network1.part", f"hist10.model.{recipe}.network2.part"]
     train.run(again, params)
     assert contents(again.output) == folded
-    assert sorted(path.name for path in again.output.parent.iterdir()) == ["hist10.model.csv", "hist10.model.h5"]
+    assert sorted(path.name for path in again.output.parent.iterdir()) == ["hist10.model.h5"]
 
 
 @pytest.mark.slow
@@ -406,7 +406,7 @@ def test_networks_are_tasks_of_their_own(trials: list[Path], tmp_path: Path, mon
     (row,) = train.run(job, params).rows
     assert row["resumed_at_step"] is None
     assert contents(job.output) == contents(whole.output)
-    assert sorted(path.name for path in job.output.parent.iterdir()) == ["hist10.model.csv", "hist10.model.h5"]
+    assert sorted(path.name for path in job.output.parent.iterdir()) == ["hist10.model.h5"]
     assert not train.run(parts[0], params).made
 
 
@@ -443,7 +443,7 @@ def test_several_networks_decide_by_the_mean_of_their_logits(
     interrupted(again, params, monkeypatch, at=220)
     train.run(again, params)
     assert contents(again.output) == contents(job.output)
-    assert sorted(path.name for path in again.output.parent.iterdir()) == ["hist10.model.csv", "hist10.model.h5"]
+    assert sorted(path.name for path in again.output.parent.iterdir()) == ["hist10.model.h5"]
 
 
 @pytest.mark.slow
