@@ -42,8 +42,7 @@ if TYPE_CHECKING:
     from evetac_cli.kernels.slip.architectures import Sensitivity
     from evetac_cli.kernels.touch.touch_map import TouchReading
     from evetac_cli.sim.touch_sensor import Touch, TouchSensor
-    from evetac_cli.store.recordings.read import Recording, open_recording
-    from evetac_cli.store.recordings.slip_windows import SlipWindows
+    from evetac_cli.store.recordings.read import Recording, SlipWindows, open_recording
 
 __all__ = [
     "DotTracker",

@@ -24,8 +24,7 @@ from evetac_cli.devices.rh_p12_rn.control_table import (
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import BusDevice
 from evetac_cli.errors import EXTRAS, DeviceError, InputError, install_hint, pip
 from evetac_cli.formats import exports, imports
-from evetac_cli.inspect.doctor.cameras import camera_rows, end_program
-from evetac_cli.inspect.doctor.checks import check, show
+from evetac_cli.inspect.doctor.cameras import camera_rows, check, end_program, show
 from evetac_cli.inspect.doctor.udev import INSTALL_RULES, JOIN
 from evetac_cli.jobs import Looking, Outcome, Row
 from evetac_cli.kernels.grip.control import PluginLaw

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.errors import EvetacError, InputError, attached_outcome
 from evetac_cli.events import FRAME_PX
-from evetac_cli.inspect.doctor.checks import check, show
+from evetac_cli.inspect.doctor.cameras import check, show
 from evetac_cli.jobs import Looking, Outcome, Progress, Row, silent
 from evetac_cli.realtime.processes import REALTIME, raised_priority
 from evetac_cli.trials.grasp.controller_process import PRIORITY

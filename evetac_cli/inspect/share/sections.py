@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 from evetac_cli.formats.write.hub_card import inline
 from evetac_cli.jobs import Progress
 from evetac_cli.names import __version__
+from evetac_cli.store.data_set import FileRow
 from evetac_cli.store.files import StageFile, stem
-from evetac_cli.store.index import IndexRow
 from evetac_cli.text_files import as_utf8
 
 # The Hub's names of splits, and the names of folders: those that the Hub recognizes, and those in evetac's docs.
@@ -63,7 +63,7 @@ class SharedTrial(NamedTuple):
     source: Path
 
 
-def trials_of(folder: Path, recordings: Sequence[IndexRow]) -> list[SharedTrial]:
+def trials_of(folder: Path, recordings: Sequence[FileRow]) -> list[SharedTrial]:
     """Return the recordings of a folder with their splits; all are `train` if no folder names a split.
 
     If some are in such folders, the others get the split `other`.
@@ -84,7 +84,7 @@ def split_of(path: str) -> str | None:
     return next((split_by_name[part.lower()] for part in Path(path).parts[:-1] if part.lower() in split_by_name), None)
 
 
-def held_out(rows: Sequence[tuple[str, IndexRow]]) -> str:
+def held_out(rows: Sequence[tuple[str, FileRow]]) -> str:
     """Return a text on the splits of (split, recording): the objects and sensors that training data lack."""
     splits = list(dict.fromkeys(split for split, _ in rows))
     if len(splits) < 2:
@@ -114,7 +114,7 @@ def held_out(rows: Sequence[tuple[str, IndexRow]]) -> str:
     return " ".join(sentences) or f"The splits are {', '.join(splits)}."
 
 
-def _known_values(rows: Sequence[tuple[str, IndexRow]], split: str, what: str) -> set[int | str]:
+def _known_values(rows: Sequence[tuple[str, FileRow]], split: str, what: str) -> set[int | str]:
     return {value for one, row in rows if one == split and (value := getattr(row, what)) is not None}
 
 
@@ -141,17 +141,18 @@ class DataSetFacts:
         self.with_losses += file.has("capture/lost_slices") and file.length("capture/lost_slices") > 0
 
 
-def look(folder: Path, rows: Sequence[IndexRow], progress: Progress) -> DataSetFacts:
+def look(folder: Path, rows: Sequence[FileRow], progress: Progress) -> DataSetFacts:
     """Open all files of a folder and return their facts."""
     contents = DataSetFacts()
     for number, row in enumerate(rows):
         progress(number, len(rows), "files")
         with StageFile(folder / row.path) as file:
+            file.check()  # a damaged file must not be shared
             contents.add(file)
     return contents
 
 
-def limitations(contents: DataSetFacts, trials: Sequence[IndexRow], split: Sequence[tuple[str, IndexRow]]) -> list[str]:
+def limitations(contents: DataSetFacts, trials: Sequence[FileRow], split: Sequence[tuple[str, FileRow]]) -> list[str]:
     """Return the section Limitations of a card.
 
     trials: a row for each trial; split: each recording with its part of the data set.
