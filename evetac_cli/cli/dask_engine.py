@@ -2,7 +2,7 @@
 
 A job reads and writes its files itself. The cluster therefore needs storage that all its computers share; only paths
 and rows are sent. A worker changes to the folder in which the command was started, so that paths, rows and recipes are
-the same with every engine. A task is one job, or as many short ones as take TASK_S: submitting a task costs some 10 ms.
+the same with every engine. A task is one job; submitting it costs some 10 ms.
 
 While a command runs, it keeps a sign file next to the outputs. A worker that sees the file shares the storage. A
 worker that no longer sees it has to stop, because Dask itself cannot end a running task.
@@ -71,12 +71,10 @@ def check_worker(command: ClusterCommand) -> str:
     return "" if command.sign.exists() else f"does not see the files in {command.sign.parent}: no shared storage"
 
 
-def run_task(
-    command: ClusterCommand, jobs: list[Job], seen: list[tuple[Path, ...]]
-) -> list[Outcome | EvetacError] | WorkerRefused:
-    """Run some jobs one after the other and return their results; fewer results if the worker had to stop.
+def run_task(command: ClusterCommand, job: Job, seen: tuple[Path, ...]) -> Outcome | EvetacError | WorkerRefused | None:
+    """Run a job and return its result; None if the worker had to stop.
 
-    seen: for each job, the inputs that exist on the computer of the command.
+    seen: the inputs of the job that exist on the computer of the command.
     """
     with _one_job_at_a_time:
         if reason := check_worker(command):
@@ -84,29 +82,19 @@ def run_task(
         plugins.take_part(command.parts)
         before = Path.cwd()
         os.chdir(command.folder)
-        results: list[Outcome | EvetacError] = []
         try:
-            stopping = _stopping(command.sign)
-            for job, paths in zip(jobs, seen, strict=True):
-                results.append(_run_job(command, job, paths, stopping))
+            for path in seen:
+                if not path.exists():
+                    message = f"a worker on {platform.node()} does not see this file: no shared storage"
+                    return EvetacError(message, where=str(path))
+            return workers.run_one(command.module, job, command.chosen, command.force, _stopping(command.sign))
         except KeyboardInterrupt:
-            pass
+            return None
         except Exception as error:
             plugins.note_culprits(error)
             raise
         finally:
             os.chdir(before)
-        return results
-
-
-def _run_job(command: ClusterCommand, job: Job, seen: tuple[Path, ...], stopping: Progress) -> Outcome | EvetacError:
-    for path in seen:
-        if not path.exists():
-            return EvetacError(
-                f"a worker on {platform.node()} does not see this file: no shared storage", where=str(path)
-            )
-    stopping(0, 1)  # checked between jobs too, for jobs that report no progress
-    return workers.run_one(command.module, job, command.chosen, command.force, stopping)
 
 
 def _stopping(sign: Path) -> Progress:
@@ -124,7 +112,6 @@ def _stopping(sign: Path) -> Progress:
 
 
 GRACE_S = 5.0  # time for workers to stop
-TASK_S = 1.0  # shorter jobs are submitted together
 CONNECT_S = 20.0
 
 
@@ -236,10 +223,7 @@ class _Run:
         self.waiting = deque(jobs)
         self.count, self.done = len(jobs), 0
         self.progress, self.results = progress, results
-        self.running: dict[Any, list[Job]] = {}  # by their futures
-        self.alone = False  # whether every job is a separate task
-        self.took_s, self.took_jobs = 0.0, 0  # working time and number of all jobs that ended
-        self.handed_out_s: dict[Any, float] = {}  # time of submission, by future
+        self.running: dict[Any, Job] = {}  # by their futures
         self.ended: queue.SimpleQueue[Any] = queue.SimpleQueue()  # futures
         self.name, self.numbers = f"evetac-{uuid.uuid4().hex}", itertools.count()
         self.workers: set[str] = set()  # all workers seen so far
@@ -269,29 +253,21 @@ class _Run:
         self.workers |= joined
         usable = len(joined if self.fit is None else joined & set(self.fit))
         while self.waiting and len(self.running) < usable:
-            jobs = [self.waiting.popleft() for _ in range(self._task_size(usable))]
-            seen = [tuple(path for path in job.inputs if path.exists()) for job in jobs]
+            job = self.waiting.popleft()
+            seen = tuple(path for path in job.inputs if path.exists())
             # Other workers may take a task meant for a worker that is gone. They refuse it, and it is submitted again.
             future = self.client.submit(
                 run_task,
                 self.command,
-                jobs,
+                job,
                 seen,
                 key=f"{self.name}-{next(self.numbers)}",  # always new: Dask would reuse the result of an equal key
                 pure=False,
                 workers=self.fit,
                 allow_other_workers=self.fit is not None,
             )
-            self.running[future] = jobs
-            self.handed_out_s[future] = time.monotonic()
+            self.running[future] = job
             future.add_done_callback(self.ended.put)
-
-    def _task_size(self, usable: int) -> int:
-        """Return the number of jobs of the next task: TASK_S of work, but few enough that all workers end together."""
-        if self.alone or not self.took_jobs:
-            return 1
-        last = -(-len(self.waiting) // (2 * usable))
-        return max(1, min(last, int(TASK_S * self.took_jobs / max(self.took_s, 1e-6))))
 
     def _wait(self) -> Any:
         """Return the next future that ended, or None; Ctrl-C is raised here."""
@@ -300,44 +276,33 @@ class _Run:
         return None
 
     def _take(self, future: Any) -> None:
-        """Store the results of a task's jobs; refused jobs are queued again."""
+        """Store the result of a task; a refused job is queued again."""
         if future is None:
             return
-        jobs = self.running.pop(future)
-        began_s = self.handed_out_s.pop(future)
-        results = self._results(future, jobs)
-        if isinstance(results, WorkerRefused):
-            results = []
-        if results:
-            self.took_s += time.monotonic() - began_s
-            self.took_jobs += len(results)
-            self.results |= {job.output: result for job, result in zip(jobs, results, strict=False)}
-            self.done += len(results)
+        job = self.running.pop(future)
+        result = self._result(future, job)
+        if isinstance(result, (Outcome, EvetacError)):
+            self.results[job.output] = result
+            self.done += 1
             self.progress(self.done, self.count, "files")
-        rest = jobs[len(results) :]
-        if rest and not self.stopping:  # refused, or the sign file was removed
-            self.waiting.extendleft(reversed(rest))
+        elif not self.stopping:  # refused, or the sign file was removed
+            self.waiting.appendleft(job)
             self._look_at_workers()
 
-    def _results(self, future: Any, jobs: list[Job]) -> list[Outcome | EvetacError] | WorkerRefused:
+    def _result(self, future: Any, job: Job) -> Outcome | EvetacError | WorkerRefused | None:
         from concurrent.futures import CancelledError
 
         from distributed import KilledWorker
 
         try:
-            results: list[Outcome | EvetacError] | WorkerRefused = future.result()
+            result: Outcome | EvetacError | WorkerRefused | None = future.result()
         except KilledWorker as error:
-            if len(jobs) > 1:  # run as separate tasks, the job at fault shows
-                self.alone = True
-                return []
-            return [
-                EvetacError(
-                    f"{error.allowed_failures + 1} workers died during this job",
-                    where=str(jobs[0].output),
-                    found=f"the last was {error.last_worker.address}",
-                    hint="out of memory? use workers with more memory, or fewer workers per computer",
-                )
-            ]
+            return EvetacError(
+                f"{error.allowed_failures + 1} workers died during this job",
+                where=str(job.output),
+                found=f"the last was {error.last_worker.address}",
+                hint="out of memory? use workers with more memory, or fewer workers per computer",
+            )
         except (CancelledError, OSError):
             if future.status == "error":  # raised by the job itself
                 raise
@@ -358,7 +323,7 @@ class _Run:
             if not plugins.parts() or "deserialization of the task graph" not in str(error):
                 raise
             raise _unread_by_scheduler(error) from None
-        return results
+        return result
 
     def _look_at_workers(self) -> None:
         """Exclude unsuitable workers, with a message; InputError if none has been suitable so far."""
@@ -410,7 +375,7 @@ class _Run:
         """Let remaining workers remove the half-written files of workers that are gone from the same computers."""
         with suppress(Exception):  # a cluster that is gone cannot be asked
             if self.workers - set(self.client.nthreads()):
-                outputs = [job.output for jobs in self.running.values() for job in jobs] + list(self.results)
+                outputs = [job.output for job in self.running.values()] + list(self.results)
                 files = [self.command.folder / output for output in outputs]
                 self.client.run(workers.remove_unfinished, files, on_error="ignore")
 

@@ -143,8 +143,8 @@ def test_a_worker_goes_to_the_folder_of_the_command(
     before = Path.cwd()
     where = []
     stage_is(monkeypatch, lambda *_: where.append(Path.cwd()) or MADE)
-    assert dask_engine.run_task(command, [Job((), Path("a.h5")), Job((), Path("b.h5"))], [(), ()]) == [MADE, MADE]
-    assert where == [tmp_path, tmp_path]
+    assert dask_engine.run_task(command, Job((), Path("a.h5")), ()) == MADE
+    assert where == [tmp_path]
     assert Path.cwd() == before
 
 
@@ -155,12 +155,12 @@ def test_a_worker_that_does_not_fit_refuses(
     stage_is(monkeypatch, lambda *_: pytest.fail("begun"))
     job = Job((), Path("a.h5"))
     monkeypatch.setattr(dask_engine, "__version__", "0.0.0")
-    refused = dask_engine.run_task(command, [job], [()])
+    refused = dask_engine.run_task(command, job, ())
     assert isinstance(refused, WorkerRefused)
     assert "0.0.0" in refused.reason and command.version in refused.reason
     monkeypatch.setattr(dask_engine, "__version__", command.version)
     (tmp_path / "sign").unlink()
-    refused = dask_engine.run_task(command, [job], [()])
+    refused = dask_engine.run_task(command, job, ())
     assert isinstance(refused, WorkerRefused) and "no shared storage" in refused.reason
     elsewhere = dask_engine.ClusterCommand("standing", None, False, command.version, tmp_path / "none", command.sign)
     assert str(tmp_path / "none") in dask_engine.check_worker(elsewhere)
@@ -171,29 +171,22 @@ def test_an_input_that_a_worker_does_not_see(
 ) -> None:
     """Assert that an input that only the command sees is an error that names it."""
     stage_is(monkeypatch, lambda *_: pytest.fail("begun"))
-    results = dask_engine.run_task(command, [Job((), Path("a.h5"))], [(Path("b.recording.h5"),)])
-    assert isinstance(results, list) and isinstance(results[0], EvetacError)
-    result = results[0]
+    result = dask_engine.run_task(command, Job((), Path("a.h5")), (Path("b.recording.h5"),))
+    assert isinstance(result, EvetacError)
     assert "b.recording.h5" in str(result) and "no shared storage" in str(result)
 
 
 def test_a_job_ends_with_its_command(command: dask_engine.ClusterCommand, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a job that has begun is broken off when it next tells its progress, once the command is gone.
-
-    What the task had finished before is told.
-    """
+    """Assert that a job that has begun is broken off when it next tells its progress, once the command is gone."""
 
     def run(module: str, job: Job, chosen: Any, force: bool, progress: Any) -> Outcome:
-        if job.output.stem == "first":
-            return MADE
         progress(1, 3)
         command.sign.unlink()
         progress(2, 3)
         pytest.fail("went on")
 
     stage_is(monkeypatch, run)
-    jobs = [Job((), Path(f"{name}.h5")) for name in ("first", "second", "third")]
-    assert dask_engine.run_task(command, jobs, [(), (), ()]) == [MADE]
+    assert dask_engine.run_task(command, Job((), Path("a.h5")), ()) is None
 
 
 # --- clusters ---------------------------------------------------------------------------------------------------------

@@ -87,7 +87,7 @@ def describe(folder: Path, params: Share, progress: Progress) -> Card:
         *([READ_TABLES.replace("SPLIT", splits[0])] if splits else []),
         *(limitations(contents, list(trials.values()), split) if trials else []),
         *citation(params.author, "data set"),
-        *made_with(contents.versions, contents.formats),
+        *made_with(),
     ]
     notes = "; ".join(filter(None, (passed_over, note)))
     return Card(

@@ -41,7 +41,7 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
             else None
         )
         why = why_useless(file) if file.kind == "model" else ""
-    note, creation = f"{path} is not a slip detector: {why}" if why else "", header.get("made", {})
+    note = f"{path} is not a slip detector: {why}" if why else ""
     simulated = bool(header["simulated"])
     figures = {name: value for name, value in row.items() if name not in NOT_SHOWN and value is not None}
     if score is not None:
@@ -69,9 +69,7 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
         "## Files",
         FILES.format(name=inline(path.name)) + (OTHER_FILES if row["kind"] == "model" else ""),
         *citation(params.author, what),
-        *made_with(
-            [str(creation["evetac"])[:20]] if "evetac" in creation else [], {row["kind"]: [str(header["version"])]}
-        ),
+        *made_with(),
     ]
     written[path.name] = path.read_bytes()  # not a link: a copy of a model is small, and may be changed
     return Card(what, title, simulated, fields, [part for part in page if part], {}, written, note)

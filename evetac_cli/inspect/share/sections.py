@@ -1,4 +1,4 @@
-"""The sections of cards: the splits of a data set, its limitations, how to cite it, and the versions of its files.
+"""The sections of cards: the splits of a data set, its limitations, and how to cite it.
 
 The limitations are made from the files: how much is simulated, what they cover, what is estimated. No author is
 invented: the authors of the paper are those of CITATION.cff, and those of a data set or model are given by the person
@@ -6,7 +6,7 @@ who shares it, or not named.
 """
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -122,20 +122,14 @@ def _known_values(rows: Sequence[tuple[str, FileRow]], split: str, what: str) ->
 class DataSetFacts:
     """Facts from the headers and a few datasets of all files of a folder."""
 
-    formats: dict[str, set[str]] = field(default_factory=dict)  # kind -> numbers of its format
-    versions: set[str] = field(default_factory=set)  # of evetac
     how: dict[str, Counter[str]] = field(default_factory=dict)  # kind -> estimator -> number of files
     abstained: int = 0  # labels that could not identify an onset
     with_losses: int = 0  # recordings with lost slices
 
     def add(self, file: StageFile) -> None:
         """Add the facts of a file."""
-        header, creation = file.header, file.header.get("made", {})
-        self.formats.setdefault(file.kind, set()).add(str(header["version"]))
-        if isinstance(creation.get("evetac"), str):
-            self.versions.add(creation["evetac"][:20])
         if file.kind in ESTIMATED:
-            how = str(header["parameters"].get(HOW.get(file.kind, ""), "unknown"))[:40]
+            how = str(file.header["parameters"].get(HOW.get(file.kind, ""), "unknown"))[:40]
             self.how.setdefault(file.kind, Counter())[how] += 1
         self.abstained += file.kind == "labels" and file.has("abstained") and int(file.read("abstained"))
         self.with_losses += file.has("capture/lost_slices") and file.length("capture/lost_slices") > 0
@@ -208,9 +202,6 @@ def citation(author: str | None, what: str) -> list[str]:
     return ["## Citation", "The paper on the sensor and the methods:", PAPER, authors]
 
 
-def made_with(versions: Collection[str], formats: Mapping[str, Collection[str]]) -> list[str]:
-    """Return the section Version of a card: evetac versions of card and files, and format numbers."""
-    file_versions = f", files by evetac {', '.join(sorted(versions))}" if versions else ""
-    kinds = ", ".join(f"{kind} {' and '.join(sorted(of))}" for kind, of in sorted(formats.items()))
-    listed = f" Format numbers of the files (`schemas/` in evetac): {kinds}." if kinds else ""
-    return ["## Version", f"Card written by evetac {__version__}{file_versions}.{listed}"]
+def made_with() -> list[str]:
+    """Return the section Version of a card."""
+    return ["## Version", f"Card written by evetac {__version__}."]
