@@ -9,9 +9,8 @@ import pytest
 
 from evetac_cli.errors import SchemaError
 from evetac_cli.inspect import validate
-from evetac_cli.store.files import StageFile, write_stage
+from evetac_cli.store.files import NOT_WRITTEN, StageFile, write_stage
 from evetac_cli.store.layout import contents, rules
-from evetac_cli.store.layout.contents import HINT
 from evetac_cli.store.layout.provenance import Recipe
 from tests import small_files
 from tests.make import everything, label_arrays
@@ -40,7 +39,7 @@ def test_arrays_without_sense_leave_nothing(tmp_path: Path, changes: dict[str, A
     with pytest.raises(SchemaError, match=words) as refused:
         write_stage(path, LABELS, labels(**changes))
     assert str(refused.value).startswith(f"{path}: ")
-    assert refused.value.hint == HINT
+    assert refused.value.hint == NOT_WRITTEN
     assert everything(tmp_path) == []
     write_stage(path, LABELS, labels())
 
@@ -86,7 +85,7 @@ def test_a_block_without_sense_leaves_the_old_file(
     before = path.read_bytes()
     with pytest.raises(SchemaError, match=f"events/{name} is impossible") as refused:
         write_events(path, size, **{name: (place, value)})
-    assert refused.value.hint == HINT
+    assert refused.value.hint == NOT_WRITTEN
     assert path.read_bytes() == before
     assert everything(tmp_path) == [path.name]
 
