@@ -149,8 +149,9 @@ def test_no_copy_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     packed = []
     for name in ("one", "two", "three"):
         plain = split(tmp_path / name, 1) / "trial_0.mcap"
-        packed.append(plain.with_name(f"{name}.mcap.zstd"))
-        packed[-1].write_bytes(zstd_module().compress(plain.read_bytes()))
+        plain.with_name(f"{plain.name}.zstd").write_bytes(zstd_module().compress(plain.read_bytes()))
+        plain.unlink()
+        packed.append(plain.parent)
     code = f"""
 import os
 from evetac_cli.formats.imports import read_events
