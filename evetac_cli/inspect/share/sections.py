@@ -85,7 +85,7 @@ def split_of(path: str) -> str | None:
 
 
 def held_out(rows: Sequence[tuple[str, FileRow]]) -> str:
-    """Return a text on the splits of (split, recording): the objects and sensors that training data lack."""
+    """Return a text on the splits of (split, recording): the objects that training data lack."""
     splits = list(dict.fromkeys(split for split, _ in rows))
     if len(splits) < 2:
         return (
@@ -93,20 +93,11 @@ def held_out(rows: Sequence[tuple[str, FileRow]]) -> str:
             " whole objects, because trials of the same object are similar."
         )
     sentences = []
+    learned = _known_objects(rows, "train")
     for name in ("validation", "test"):
-        if name not in splits or "train" not in splits:
-            continue
-        parts = []
-        for what in ("object", "sensor"):
-            mine, learned = (_known_values(rows, split, what) for split in (name, "train"))
-            only = sorted(mine - learned, key=lambda value: (isinstance(value, str), value))
-            if not mine:
-                parts.append(f"unknown {what}s")
-            elif only:
-                parts.append(f"{what}s that are not in `train` ({', '.join(map(str, only))})")
-            else:
-                parts.append(f"only {what}s that are also in `train`")
-        sentences.append(f"`{name}` has {' and '.join(parts)}.")
+        only = sorted(_known_objects(rows, name) - learned, key=lambda value: (isinstance(value, str), value))
+        if learned and only:
+            sentences.append(f"`{name}` has objects that are not in `train` ({', '.join(map(str, only))}).")
     ids = [{row.recipe_id for split, row in rows if split == one} for one in splits]
     twice = len(set().union(*(a & b for at, a in enumerate(ids) for b in ids[at + 1 :])))
     if twice:
@@ -114,8 +105,8 @@ def held_out(rows: Sequence[tuple[str, FileRow]]) -> str:
     return " ".join(sentences) or f"The splits are {', '.join(splits)}."
 
 
-def _known_values(rows: Sequence[tuple[str, FileRow]], split: str, what: str) -> set[int | str]:
-    return {value for one, row in rows if one == split and (value := getattr(row, what)) is not None}
+def _known_objects(rows: Sequence[tuple[str, FileRow]], split: str) -> set[int | str]:
+    return {row.object for one, row in rows if one == split and row.object is not None}
 
 
 @dataclass

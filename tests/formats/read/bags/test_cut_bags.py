@@ -109,10 +109,6 @@ def test_cut_bags_of_ros_1_say_what_helps(packing: str, tmp_path: Path) -> None:
 OPTIONS: dict[str, dict[str, Any]] = {
     "as the library writes it": {},
     "not in chunks": {"use_chunking": False},
-    "no index": {"index_types": IndexType.NONE},
-    "chunks alone are listed": {"index_types": IndexType.CHUNK},
-    "no statistics": {"use_statistics": False},
-    "no channels in the summary": {"repeat_channels": False, "repeat_schemas": False},
     "nothing in the summary": {
         "index_types": IndexType.NONE,
         "repeat_channels": False,
