@@ -87,8 +87,7 @@ _MODULES = {
     **dict.fromkeys(("EvetacError", "InputError", "UnavailableError"), "errors"),
     **dict.fromkeys(("Touch", "TouchSensor"), "sim.touch_sensor"),
     "TouchReading": "kernels.touch.touch_map",
-    **dict.fromkeys(("Recording", "open_recording"), "store.recordings.read"),
-    "SlipWindows": "store.recordings.slip_windows",
+    **dict.fromkeys(("Recording", "SlipWindows", "open_recording"), "store.recordings.read"),
 }
 
 
