@@ -85,17 +85,6 @@ def test_a_number_in_brackets_is_an_index(name: str, expected: tuple[str, str]) 
     assert name_and_unit(name) == expected
 
 
-def test_elements_of_vectors_are_columns_without_a_unit(tmp_path: Path) -> None:
-    """Assert that q[0], q[1], q[2] become q_0, q_1, q_2, and a unit in brackets beside them remains one."""
-    row = np.arange(ROWS)
-    given = {"t_us": 10_000 * row, "q[0]": row, "q[1]": 100 + row, "q[2]": 200 + row, "force [N]": row / 10}
-    stream, _ = by_csv(tmp_path, given)
-    assert {name: values[1] for name, values in stream.columns.items()} == {
-        "q_0": 1.0, "q_1": 101.0, "q_2": 201.0, "force": 0.1,
-    }  # fmt: skip
-    assert stream.units == {"q_0": "", "q_1": "", "q_2": "", "force": "N"}
-
-
 @pytest.mark.parametrize(
     ("names", "chosen", "others"),
     [

@@ -207,7 +207,7 @@ def _contents(bag: Bag, topic: str, kind: str, source: EventSource, encoding: st
         else:
             known = content.t != 0
             timed |= bool(known.any())
-            unset += len(known) - np.count_nonzero(known)
+            unset += len(known) - int(np.count_nonzero(known))
             content = MessageEvents(*(column[known] for column in content))
         yield where, content
     if unset and not timed:

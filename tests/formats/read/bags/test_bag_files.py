@@ -1,7 +1,6 @@
 """The files of a bag: what lies beside a file, bags in several files, and what the metadata of a folder are worth."""
 
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -34,21 +33,6 @@ def test_what_waits_beside_a_database_is_named(write: Write) -> None:
     assert "wal_checkpoint" in refusal(path)
     wal.write_bytes(b"")
     assert event_rows(read_events(path)) == shifted(EVENTS)
-
-
-@pytest.mark.parametrize("said", ['""', "my_own_plugin"])
-@pytest.mark.parametrize("bag", ["db3", "mcap"])
-def test_the_files_say_how_a_bag_is_stored(write: Write, bag: str, said: str) -> None:
-    """Assert that the storage that the metadata name, or leave empty, does not matter."""
-    types = Types(bag)
-    folder = write(bag, types, {"/e": messages(types)})
-    about = folder / "metadata.yaml"
-    text = re.sub("storage_identifier: .*", f"storage_identifier: {said}", about.read_text())
-    assert f"storage_identifier: {said}\n" in text
-    about.write_text(text)
-    imported = read_events(folder)
-    assert event_rows(imported) == shifted(EVENTS)
-    assert imported.notes == []
 
 
 def split(folder: Path, parts: int = 3, start: int = 0) -> Path:
