@@ -42,7 +42,8 @@ if TYPE_CHECKING:
     from evetac_cli.kernels.slip.architectures import Sensitivity
     from evetac_cli.kernels.touch.touch_map import TouchReading
     from evetac_cli.sim.touch_sensor import Touch, TouchSensor
-    from evetac_cli.store.recordings.read import Recording, SlipWindows, open_recording
+    from evetac_cli.store.recordings.read import Recording, open_recording
+    from evetac_cli.store.recordings.slip_windows import SlipWindows
 
 __all__ = [
     "DotTracker",
@@ -87,7 +88,8 @@ _MODULES = {
     **dict.fromkeys(("EvetacError", "InputError", "UnavailableError"), "errors"),
     **dict.fromkeys(("Touch", "TouchSensor"), "sim.touch_sensor"),
     "TouchReading": "kernels.touch.touch_map",
-    **dict.fromkeys(("Recording", "SlipWindows", "open_recording"), "store.recordings.read"),
+    **dict.fromkeys(("Recording", "open_recording"), "store.recordings.read"),
+    "SlipWindows": "store.recordings.slip_windows",
 }
 
 

@@ -14,7 +14,7 @@ from evetac_cli.cli.main import app
 from evetac_cli.commands import EVERY, PIPELINE, Command
 from evetac_cli.commands.parameter import flag_of
 from evetac_cli.errors import InputError, SceneError
-from evetac_cli.evaluate.subjects import SUBJECTS
+from evetac_cli.evaluate import SUBJECTS
 from evetac_cli.resources import SCENES
 from evetac_cli.sim.camera.gel_camera import dot_grid
 from evetac_cli.sim.setup import scene_file, sensor_file

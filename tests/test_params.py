@@ -16,9 +16,9 @@ from evetac_cli.commands.record import Record
 from evetac_cli.commands.track import Track
 from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate import SUBJECTS
 from evetac_cli.evaluate.labels import EvaluateLabels
 from evetac_cli.evaluate.slip import EvaluateSlip
-from evetac_cli.evaluate.subjects import SUBJECTS
 
 EVERY = {command.name: command.params for command in PIPELINE}
 EVERY |= {f"evaluate {command.name}": command.params for command in SUBJECTS}

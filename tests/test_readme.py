@@ -16,8 +16,8 @@ import pytest
 import typer
 
 from evetac_cli.cli.main import app
+from evetac_cli.evaluate import PAPER
 from evetac_cli.evaluate.common.marks import MARKS
-from evetac_cli.evaluate.subjects import PAPER
 from evetac_cli.store.layout import schema
 from evetac_cli.trials.record import simulated
 from scripts import first_hour
@@ -117,7 +117,7 @@ def test_every_check_of_doctor_is_explained() -> None:
             continue
         if isinstance(name, ast.Constant) and not (isinstance(ok, ast.Constant) and ok.value in (True, None)):
             checks.add(name.value)
-    assert {"libusb", "link", "busy", "latency timer"} <= checks
+    assert {"libusb", "link", "busy", "latency timer", "supply"} <= checks
     assert [name for name in sorted(checks - {"torque"}) if f"`{name}`" not in table] == []  # torque is never wrong
 
 
@@ -150,7 +150,7 @@ def test_figures_of_the_paper_are_marked(path: Path) -> None:
 
 
 def unlike_the_paper(result: dict[str, Any]) -> list[str]:
-    """The cells of a table whose figures of the paper, or marks, are not those of paper.py."""
+    """The cells of a table whose figures of the paper, or marks, are not those of `PAPER`."""
     found = []
     for row in result["rows"]:
         for column in (*result["columns"], *([result["across"]] if result["across"] else [])):

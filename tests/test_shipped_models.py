@@ -16,12 +16,12 @@ from evetac_cli.commands import EVERY
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError
+from evetac_cli.evaluate import SUBJECTS
 from evetac_cli.evaluate.benchmark import own_methods
 from evetac_cli.evaluate.cost import EvaluateCost
 from evetac_cli.evaluate.cost import command as cost
 from evetac_cli.evaluate.slip import EvaluateSlip
 from evetac_cli.evaluate.slip import measure as slip
-from evetac_cli.evaluate.subjects import SUBJECTS
 from evetac_cli.resources import MODEL, SHIPPED, model_file, with_shipped
 from evetac_cli.stages import train
 from evetac_cli.trials.grasp.settings import GraspSettings

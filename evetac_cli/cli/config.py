@@ -36,7 +36,7 @@ def resolve(cls: type, command: str, flag_values: Mapping[str, Any], config: Pat
 def with_config() -> dict[str, Command]:
     """Return the commands that have a table in a config file, such as [track] or [evaluate.slip], by name."""
     from evetac_cli.commands import PIPELINE  # here, as all commands are imported for it
-    from evetac_cli.evaluate.subjects import SUBJECTS
+    from evetac_cli.evaluate import SUBJECTS
 
     return {command.name: command for command in PIPELINE} | {f"evaluate {one.name}": one for one in SUBJECTS}
 

@@ -110,8 +110,8 @@ def _parts(group: str) -> tuple[Command, ...]:
     """Return the commands of a group, by the headings of its help."""
     if group != "evaluate":
         return commands.parts(group)
+    from evetac_cli.evaluate import SUBJECTS
     from evetac_cli.evaluate.subject import PANELS  # here, as all subjects are imported for it
-    from evetac_cli.evaluate.subjects import SUBJECTS
 
     return tuple(sorted(SUBJECTS, key=lambda subject: PANELS.index(subject.panel)))
 
@@ -150,7 +150,7 @@ def command_line(first: str = "") -> typer.Typer:
     )
     app.callback()(_root)
     panels = {name: panel for panel, names in commands.PANELS.items() for name in names}
-    for name in (first,) if first in panels else () if first == "--version" else panels:
+    for name in (first,) if first in panels else () if first in ("--version", *commands.FORMER) else panels:
         _add(app, name, panels[name])
     return app
 

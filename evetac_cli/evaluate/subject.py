@@ -1,7 +1,7 @@
 """A subject of `evaluate`: its command, its section of the report page, and the paper's figures beside its rows.
 
-A subject stands in one folder. Whoever lists, prints or documents subjects asks `SUBJECTS` of subjects.py. Nothing that
-a subject is made from imports numpy, which keeps `--help` fast.
+A subject stands in one folder. Whoever lists, prints or documents subjects asks `SUBJECTS` of this package. Nothing
+that a subject is made from imports numpy, which keeps `--help` fast.
 """
 
 from collections.abc import Callable, Iterable
@@ -22,7 +22,6 @@ class SubjectTable:
     title: str
     rows: Callable[[Rows, Row], Rows]  # (rows, summary) of a report -> rows of the table
     columns: tuple[str, ...] = ()
-    numbered: bool = False  # whether the number of each row is shown, by which the plot refers to it
 
 
 @dataclass(frozen=True)

@@ -30,9 +30,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from evetac_cli.evaluate import PAPER
 from evetac_cli.evaluate.common import marks
-from evetac_cli.evaluate.common.source import Source
-from evetac_cli.evaluate.subjects import PAPER
+from evetac_cli.evaluate.common.marks import Source
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels import estimates
 
@@ -118,7 +118,7 @@ def ours(entry: Row, rows: Mapping[str, Row], results: Path = RESULTS, *, need_i
 
 
 def _mark(entry: Row, row: Row, result: Row) -> str | None:
-    """Return the mark of paper.py for an entry's row; None if the paper has no figure."""
+    """Return the mark of `PAPER` for an entry's row; None if the paper has no figure."""
     if "column" not in entry:
         return None
     source = Source.from_json(result.get("sources", {}).get(row.get("evaluation")) or result.get("source", {}))

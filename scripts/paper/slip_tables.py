@@ -74,7 +74,7 @@ def timing_rows(evaluations: Evaluations) -> Rows:
 
 def setting_share(bin_: str, object_: str) -> float | None:
     """Return the paper's share of first detections in a bin, over all objects; None if it has none."""
-    from evetac_cli.evaluate.subjects import PAPER
+    from evetac_cli.evaluate import PAPER
 
     return PAPER.value(bin_, "unseen", MODEL, HORIZON_MS) if object_ == ALL else None
 

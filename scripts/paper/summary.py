@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from evetac_cli.evaluate.data_rate.paper import COLUMNS
+from evetac_cli.evaluate.data_rate import COLUMNS
 from evetac_cli.jobs import Row
 
 

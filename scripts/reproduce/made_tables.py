@@ -8,8 +8,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from evetac_cli.evaluate.common.source import Source
-from evetac_cli.evaluate.subjects import PAPER
+from evetac_cli.evaluate import PAPER
+from evetac_cli.evaluate.common.marks import Source
 from evetac_cli.jobs import Row, Rows
 from scripts.paper import rows as paper_rows
 from scripts.reproduce.facts import Refusal, commit_facts, facts, machine, methods, of_freeze, words_for

@@ -12,8 +12,8 @@ import string
 from collections.abc import Iterable
 from typing import Any
 
-from evetac_cli.evaluate.common.source import Source
-from evetac_cli.evaluate.subjects import PAPER
+from evetac_cli.evaluate import PAPER
+from evetac_cli.evaluate.common.marks import Source
 from evetac_cli.jobs import Row
 from scripts.reproduce import facts
 from scripts.reproduce.facts import ROOT, method, ranges

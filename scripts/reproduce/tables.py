@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from evetac_cli.evaluate.data_rate.paper import COLUMNS
-from evetac_cli.evaluate.subjects import PAPER
+from evetac_cli.evaluate import PAPER
+from evetac_cli.evaluate.data_rate import COLUMNS
 from evetac_cli.jobs import Row, Rows
 from scripts.reproduce.steps import DATA_RATE_OBJECTS, ROBUST_SETTINGS, TRACKING_SCENES
 

@@ -36,7 +36,7 @@ from evetac_cli.errors import (
     error_dict,
     install_hint,
 )
-from evetac_cli.evaluate.subjects import SUBJECTS
+from evetac_cli.evaluate import SUBJECTS
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.stages import per_file
 from evetac_cli.store.files import write_stage

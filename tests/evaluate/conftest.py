@@ -2,7 +2,7 @@
 
 import pytest
 
-from evetac_cli.evaluate.cost.short_grasps import GraspResult, ShortGrasp, run_short_grasp
+from evetac_cli.evaluate.cost.grasp import GraspResult, ShortGrasp, run_short_grasp
 from evetac_cli.events import Events
 from evetac_cli.kernels.grip.control import SlipSignal
 

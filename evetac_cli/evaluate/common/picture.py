@@ -59,7 +59,6 @@ STYLE: dict[Any, Any] = {  # Any, because matplotlib's type stubs require litera
     "svg.hashsalt": "evetac",  # the same file each time
 }
 INCH_A_LETTER, INCH_A_LINE = 0.078, 0.19  # estimated size of legend text
-MOST_TICKS = 9  # on a logarithmic axis
 
 
 def beside(outcome: Outcome, report: Path, draw: Callable[[Any], None], size_in: tuple[float, float]) -> Outcome:
@@ -168,17 +167,6 @@ def _legend_columns(labels: Sequence[str], width_in: float) -> int:
     return max(1, min(len(labels), int(width_in / longest_in)))
 
 
-def wilson(share: float, count: int) -> list[list[float]]:
-    """Return how far Wilson's 95 % interval of a share of `count` trials extends below and above it, for matplotlib.
-
-    It stays within 0 and 1, even if all or none of the trials succeed.
-    """
-    from evetac_cli.kernels import estimates
-
-    _, low, high = estimates.share(round(share * count), count)
-    return [[max(share - low, 0.0)], [max(high - share, 0.0)]]
-
-
 def share_axis(axis: Any) -> None:
     """Set an axis from 0 to 1, with room for a marker at either end."""
     axis.set_view_interval(-0.03, 1.03, ignore=True)
@@ -186,38 +174,14 @@ def share_axis(axis: Any) -> None:
 
 
 def log_axis(axis: Any) -> None:
-    """Make an axis logarithmic, with numbers written out.
-
-    Ticks are at whole decades, and also at 2 and 5 if the axis spans at most two and a half decades. If an axis has
-    fewer than three ticks, it is extended to the next tick at both ends.
-    """
-    from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
+    """Make an axis logarithmic, with numbers written out: at decades, in shorter ranges also at 2 and 5."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     axis.axes.set(**{f"{axis.axis_name}scale": "log"})
     low, high = sorted(axis.get_view_interval())
-    finer = (1, 2, 5) if math.log10(high / low) < 2.5 else (1,)
-    decades = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
-    ticks = [digit * 10.0**decade for decade in decades for digit in finer]
-    shown = [tick for tick in ticks if low <= tick <= high]
-    if len(shown) < 3:
-        first = max(index for index, tick in enumerate(ticks) if tick <= low)
-        last = min(index for index, tick in enumerate(ticks) if tick >= high)
-        shown = ticks[first : last + 1]
-        low, high = shown[0], shown[-1]
-    axis.set_major_locator(FixedLocator(shown[:: 1 + (len(shown) - 1) // MOST_TICKS]))
-    axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(lambda value, _: written_out(value)))
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 300.0 * low else (1.0,)))
+    axis.set_major_formatter(StrMethodFormatter("{x:,.10g}"))
     axis.set_minor_formatter(NullFormatter())
-    axis.set_view_interval(low, high, ignore=True)
-
-
-def written_out(value: float) -> str:
-    """Return a tick label of a logarithmic axis: 0.001 to 100,000 in figures, others as a power of ten."""
-    if 0.99e-3 < value < 1.01e5:
-        return f"{value:,.10g}"
-    exponent = math.floor(math.log10(value) + 1e-9)
-    digit = round(value / 10.0**exponent)
-    return f"$10^{{{exponent}}}$" if digit == 1 else f"${digit}\\cdot10^{{{exponent}}}$"
 
 
 def say_instead(axes: Any, text: str) -> None:

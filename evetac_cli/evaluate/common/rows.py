@@ -235,24 +235,3 @@ def share_difference(ours: Flags, theirs: Flags) -> ConfidenceInterval:
 def finite_or_none(value: float) -> float | None:
     """Return the value for a table: None instead of NaN."""
     return value if math.isfinite(value) else None
-
-
-def on_front(errors: Sequence[Floats], times: Sequence[Floats], resolution: float = 0.0) -> list[bool]:
-    """Return which settings are certainly on the Pareto front of error and run time.
-
-    errors and times: an array per setting, all over the same trials. A setting is on the front if every other setting
-    has a larger error or a longer run time, and the interval of the difference excludes 0. If there are too few trials
-    to distinguish two settings, neither of them is on the front.
-    """
-
-    def larger(theirs: Floats, ours: Floats, step: float) -> bool:
-        return difference(theirs, ours, step).low > 0.0
-
-    return [
-        all(
-            larger(times[other], times[one], 0.0) or larger(errors[other], errors[one], resolution)
-            for other in range(len(errors))
-            if other != one
-        )
-        for one in range(len(errors))
-    ]

@@ -54,5 +54,5 @@ SUBJECT = Subject(
     panel=SIMULATOR,
     title="Error against run time",
     about="Run times depend on the computer and its load when they were measured.",
-    tables=(SubjectTable("Settings", having("setting"), numbered=True),),
+    tables=(SubjectTable("Settings", having("setting")),),
 )

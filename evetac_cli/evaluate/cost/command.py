@@ -23,7 +23,7 @@ METHOD = 6
 
 
 class CostPart(NamedTuple):
-    """How a part is measured; title, errors and size of its plot; its input files, if any; whether it takes --trials.
+    """How a part is measured; title, errors, plot if it has one; its input files, if any; whether it takes --trials.
 
     inputs: (files, --model) -> the files from which the report is made.
     """
@@ -32,7 +32,7 @@ class CostPart(NamedTuple):
     errors: tuple[str, ...]
     measure: Callable[[EvaluateCost, Sequence[Path], Progress], Rows]
     summary: Callable[[Rows], dict[str, Any]]
-    draw: Callable[[Any, Rows, Sequence[str]], None] = draw
+    draw: Callable[[Any, Rows, Sequence[str]], None] | None = draw
     size_in: Callable[[Rows], tuple[float, float]] = size_in
     takes_trials: bool = True
     inputs: Callable[[list[Path], Path | None], tuple[Path, ...]] | None = None
@@ -81,7 +81,7 @@ PARTS: dict[str, CostPart] = {
         ("error_share_lost", "error_mm_moved"),
         grasp.measure,
         grasp.summary,
-        grasp.draw,
+        draw=None,  # delays and detectors are no points on an axis of run time
         inputs=grasp.inputs,
     ),
 }
@@ -116,9 +116,13 @@ def run(job: Job, params: EvaluateCost, *, force: bool = False, progress: Progre
         job, "evaluate cost", METHOD, recipe_of(params), parents, measure, force=force, simulated_source=simulated
     )
 
+    if part.draw is None:
+        return outcome
+    draw_part = part.draw
+
     def draw(figure: Any) -> None:
         figure.suptitle(f"{part.title}{' (simulated)' if outcome.simulated else ''}")
-        part.draw(figure, outcome.rows, part.errors)
+        draw_part(figure, outcome.rows, part.errors)
 
     return picture.beside(outcome, job.output, draw, part.size_in(outcome.rows))
 

@@ -11,24 +11,166 @@ true slip instead of the network. No detector can know more about the present, t
 """
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli import resources
 from evetac_cli.arrays import Floats
+from evetac_cli.commands.grasp import Grasp
 from evetac_cli.devices import Rig
+from evetac_cli.devices.simulated import rig
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.rows import Extent, collect, difference, finite_or_none, mean, run_times
 from evetac_cli.evaluate.cost import EvaluateCost
-from evetac_cli.evaluate.cost.short_grasps import GraspResult, ShortGrasp, ground_truth_detector, run_short_grasp
+from evetac_cli.events import SLICES_PER_S, Events
 from evetac_cli.jobs import Progress, Row, Rows
+from evetac_cli.kernels.grip import control as grip_control
+from evetac_cli.kernels.grip.control import Control, SlipSignal
+from evetac_cli.kernels.tracking import presets
+from evetac_cli.sim import grasp_outcome
+from evetac_cli.sim.setup.plan import Plan, first_plan
+from evetac_cli.stages.model_files import chosen_threshold
 from evetac_cli.stages.related_files import named_files
-from evetac_cli.trials.grasp.loop import SliceDetector
+from evetac_cli.store.files import StageFile
+from evetac_cli.store.recordings.trial_writer import TrialBuffer
+from evetac_cli.trials.grasp.loop import SliceDetector, Timing, grasp_slices
+from evetac_cli.trials.grasp.online_detector import open_detector
+
+LIFT_S = 3.5  # 50 mm are reached at 3.1 s
+LOST_MM = 25.0  # an object that moved this far in the gripper is lost
+
+
+@dataclass
+class WrappedDetector:
+    """A detector between another one and the controller; subclasses change its slices or its decisions."""
+
+    detector: SliceDetector
+
+    def step(self, events: Events) -> float:
+        """Return the slip probability after one more slice."""
+        return self.detector.step(events)
+
+    def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
+        """Pass the gripper's state to the detector."""
+        self.detector.tell_gripper(position_ticks, goal_ticks)
+
+    @property
+    def signal(self) -> SlipSignal:
+        """The detector's signal for the controller."""
+        return self.detector.signal
+
+
+@dataclass
+class TimedDetector(WrappedDetector):
+    """A detector that times its slices."""
+
+    took_us: list[float] = field(default_factory=list)
+
+    def step(self, events: Events) -> float:
+        """Return the slip probability after one more slice."""
+        started = time.perf_counter()
+        probability = self.detector.step(events)
+        self.took_us.append(1e6 * (time.perf_counter() - started))
+        return probability
+
+
+@dataclass
+class FixedDetector(WrappedDetector):
+    """A detector whose decisions are replaced by `slips`; displacements stay.
+
+    slips: returns whether there is slip.
+    """
+
+    slips: Callable[[], bool]
+    count: int = 0
+
+    def step(self, events: Events) -> float:
+        """Return 1.0 for slip, else 0.0."""
+        self.detector.step(events)
+        slip = self.slips()
+        self.count += slip
+        return float(slip)
+
+    @property
+    def signal(self) -> SlipSignal:
+        """The detector's signal, with the number of slices declared as slip."""
+        return self.detector.signal._replace(slips=self.count)
+
+
+def ground_truth_detector(detector: SliceDetector, devices: Rig) -> SliceDetector:
+    """Return a detector that reports the true gross slip, which only the simulation has."""
+    truth = devices.truth
+    assert truth is not None
+    return FixedDetector(detector, lambda: bool(truth()["truth/slip"]))
+
+
+@dataclass(frozen=True)
+class ShortGrasp:
+    """A grasp to simulate: the object, the controller and its timing."""
+
+    object: int
+    controller: str
+    gain: float = 1.0
+    lift_s: float = LIFT_S
+    balance_s: float = 4.0
+    latency_ms: int = 0
+    control_hz: float = 500.0
+
+
+@dataclass(frozen=True)
+class GraspResult:
+    """Result of a short grasp: outcome figures, rows of the recording, run time of the detector in each slice."""
+
+    figures: dict[str, Any]
+    rows: dict[str, NDArray[Any]]
+    detector_us: NDArray[np.float64]
+
+
+def run_short_grasp(
+    short: ShortGrasp,
+    seed: int,
+    model: Path | None = None,
+    change_plan: Callable[[Plan], Plan] = lambda plan: plan,
+    wrap_detector: Callable[[SliceDetector, Rig], SliceDetector] = lambda detector, devices: detector,
+) -> GraspResult:
+    """Simulate one short grasp.
+
+    model: detector, default the pretrained one; `change_plan` modifies the default plan; `wrap_detector` inserts a
+    wrapper between the detector and the controller. Raises ValueError if the plan cannot be simulated.
+    """
+    plan = change_plan(first_plan("lift", str(short.object)))
+    touch_ms = round(SLICES_PER_S * plan.scene.time.touch_s)
+    timing = Timing(
+        touch_ms,
+        round(SLICES_PER_S * short.lift_s),
+        round(SLICES_PER_S * short.balance_s),
+        short.control_hz,
+        short.latency_ms,
+    )
+    devices = rig(plan, np.random.SeedSequence([seed, short.object]), lift_s=short.lift_s, balance_s=short.balance_s)
+    control = Control(grip_control.make_law(short.controller, short.gain), short.control_hz)
+    buffer = TrialBuffer()
+    try:
+        with StageFile(model or resources.MODEL, "model") as file:
+            constants, threshold = presets.PRESETS[Grasp.tracker], chosen_threshold(file)
+            opened = open_detector(file, devices.camera.sensor, constants, threshold)
+            detector = TimedDetector(wrap_detector(opened, devices))
+        for _, rows in grasp_slices(devices, detector, control, timing):
+            buffer.append_rows(rows)
+            if float(np.hypot(*rows["truth/object_xy_px"])) * plan.sensor.mm_per_px > LOST_MM:
+                break  # it would only slide further
+    finally:
+        devices.close()
+    arrays = buffer.row_arrays()
+    figures = grasp_outcome.outcome(arrays, plan.sensor.mm_per_px, timing.end_ms)
+    return GraspResult(figures, arrays, np.array(detector.took_us))
+
 
 OBJECTS = Extent[tuple[int, ...]](quick=(11, 17), full=(10, 11, 12, 13, 17, 18))
 TRIALS = Extent(quick=1, full=3)  # of each object
@@ -38,11 +180,6 @@ CONTROLLERS = Extent[tuple[str, ...]](
 LATENCIES_MS = Extent[tuple[int, ...]](quick=(5, 10, 20, 50), full=(2, 5, 10, 20, 30, 50))
 RATES_HZ = Extent[tuple[float, ...]](quick=(50.0, 100.0, 1000.0), full=(50.0, 100.0, 200.0, 250.0, 1000.0))
 BALANCE_S = 8.0
-TITLES = {
-    "error_share_lost": "share of objects lost",
-    "error_mm_moved": "object moved in the gripper, mean [mm]",
-    "force_n": "grip force at the end, mean [N]",
-}
 
 
 @dataclass(frozen=True)
@@ -132,29 +269,3 @@ def _moved_mm(results: Sequence[GraspResult]) -> Floats:
     """Return how far each trial's object moved in the gripper, NaN if it was lost."""
     moved = (result.figures["moved_mm"] if result.figures["balanced"] else math.nan for result in results)
     return np.array(list(moved))
-
-
-def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
-    """Plot errors and force of every setting, a colour per controller."""
-    settings = list(dict.fromkeys(row["setting"].partition(", ")[2] for row in rows))
-    controllers = list(dict.fromkeys(row["setting"].partition(", ")[0] for row in rows))
-    panels = picture.panels(figure, len(TITLES), len(TITLES), sharey=True)
-    for axes, (name, title) in zip(panels, TITLES.items(), strict=True):
-        for number, controller in enumerate(controllers):
-            controller_rows = [
-                row for row in rows if row["setting"].startswith(f"{controller}, ") and row[name] is not None
-            ]
-            apart = 0.5 * ((number + 0.5) / len(controllers) - 0.5)
-            heights = [settings.index(row["setting"].partition(", ")[2]) + apart for row in controller_rows]
-            if name == "error_share_lost":
-                for row, height in zip(controller_rows, heights, strict=True):
-                    reach = picture.wilson(row[name], row["trials"])
-                    label = "95 % interval by the number of trials (Wilson)"
-                    axes.errorbar(row[name], height, xerr=reach, label=label, **picture.INTERVAL)
-            style = {**picture.series(number), "markersize": 7, "linestyle": "none"}
-            axes.plot([row[name] for row in controller_rows], heights, label=f"controller {controller}", **style)
-        axes.set_xlabel(title)
-    picture.share_axis(panels[0].xaxis)
-    panels[0].set_yticks(range(len(settings)), settings)
-    panels[0].set_ylim(len(settings) - 0.5, -0.5)
-    picture.legend(figure, panels)

@@ -27,9 +27,9 @@ from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.rows import collect, run_times
 from evetac_cli.evaluate.cost import EvaluateCost
 from evetac_cli.evaluate.cost.tracker import DOTS_PX, rim_events
+from evetac_cli.evaluate.slip import PAPER
 from evetac_cli.evaluate.slip.measure import split_models
 from evetac_cli.evaluate.slip.models import Model
-from evetac_cli.evaluate.slip.paper import PAPER
 from evetac_cli.evaluate.slip.tables import group_by_setting
 from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, GEL_PX, OverImages

@@ -18,10 +18,8 @@ the same trials, simulated more finely in every respect. Columns, as means over 
 - time_us_*: processor time of the chain per recorded millisecond, over the trials. record_us_median, grasp_us_median:
   of recording alone, and per simulated millisecond of the grasp.
 
-A second table has the paired difference of every setting from the defaults, with its interval (see rows). A third
-table has every trial with its onsets. A row is on the Pareto front of an error if the intervals show this against every
-other row; the reference is excluded. Every row contains the errors of labels, tracker and regression; the effect of a
-setting is in the differences.
+A second table has the paired difference of every setting from the defaults, with its interval (see rows). Every row
+contains the errors of labels, tracker and regression; the effect of a setting is in the differences.
 
 Only the chain is timed: the comparison with the reference is not.
 """
@@ -50,7 +48,6 @@ from evetac_cli.evaluate.common.rows import (
     finite_or_none,
     line,
     mean,
-    on_front,
     quantile,
     run_times,
     share_difference,
@@ -166,7 +163,6 @@ class Measured:
 
     def __init__(self, setting: SolverSetting) -> None:
         self.setting = setting
-        self.trials: Rows = []
         self.errors: dict[str, list[float]] = {name: [] for name in ERRORS}
         self.detection_moved_ms: list[float] = []
         self.chain_us: list[float] = []
@@ -175,7 +171,6 @@ class Measured:
 
     def add(
         self,
-        trial: ChainTrial,
         results: tuple[Chain, Lifted],
         slip_errors: dict[str, float],
         reference: tuple[Chain, Lifted],
@@ -188,19 +183,6 @@ class Measured:
         for name, value in errors.items():
             self.errors[name].append(value)
         self.detection_moved_ms.append(detection_moved_ms(chain, reference[0]))
-        self.trials.append(
-            {
-                "trial_flags": f"--object {trial.object} --seed {trial.seed} {self.setting.flags}".rstrip(),
-                "gross_slip_ms": chain.gross_slip_ms,
-                "label_ms": chain.label_ms,
-                "detection_ms": chain.detection_ms,
-                "detection_moved_ms": finite_or_none(self.detection_moved_ms[-1]),
-                **{name: finite_or_none(errors[name]) for name in SLIP_ERRORS},
-                "grasped_object": trial.grasped,
-                "held": lifted.held,
-                "moved_mm": lifted.moved_mm,
-            }
-        )
         self.chain_us.append(chain.chain_us)
         self.record_us.append(chain.record_us)
         self.grasp_us.append(lifted.grasp_us)
@@ -216,7 +198,7 @@ def trials(count: int, seed: int) -> list[ChainTrial]:
 
 
 def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) -> Rows:
-    """Return a row per setting including the reference, per paired difference from the defaults, and per trial."""
+    """Return a row per setting including the reference, and per paired difference from the defaults."""
     settings = [FINEST if params.full else REFERENCE, DEFAULTS, *CHOICES.pick(params.full)]
     tried = trials(params.trials or TRIALS.pick(params.full), params.seed)
     measured = [Measured(setting) for setting in settings]
@@ -234,18 +216,16 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
             with TemporaryDirectory() as folder:  # files of all settings have the same names
                 results = run_chain(trial, entry.setting, Path(folder)), run_grasp(trial, entry.setting, Path(folder))
             reference = reference or results
-            entry.add(trial, results, slip_errors(results[0], reference[0], force), reference)
+            entry.add(results, slip_errors(results[0], reference[0], force), reference)
             done += 1
             progress(done, total)
     return tables(measured)
 
 
 def tables(measured: Sequence[Measured]) -> Rows:
-    """Return the three tables; `measured` begins with the reference and the defaults."""
+    """Return the two tables; `measured` begins with the reference and the defaults."""
     reference, defaults, *_ = measured
-    fronts = _fronts(measured[1:])
-    rows: Rows = [_row(reference, None)]
-    rows += [_row(entry, [name for name in ERRORS if fronts[name][at]]) for at, entry in enumerate(measured[1:])]
+    rows = [_row(entry, is_reference=entry is reference) for entry in measured]
     for name in ERRORS:
         for entry in measured[2:]:
             shares = _shares(name, entry.of(name), defaults.of(name))
@@ -261,7 +241,7 @@ def tables(measured: Sequence[Measured]) -> Rows:
                     "trials": apart.trials,
                 }
             )
-    return rows + [row for entry in measured for row in entry.trials]
+    return rows
 
 
 def _shares(name: str, ours: Floats, theirs: Floats) -> tuple[Flags, Flags] | None:
@@ -276,45 +256,26 @@ def _resolution(name: str) -> float:
     return SLICE_MS if name.startswith("error_ms") else 0.0
 
 
-def _fronts(candidates: Sequence[Measured]) -> dict[str, list[bool]]:
-    """Return for each error which settings are certainly on its Pareto front with the run time of the relevant part."""
-    fronts = {}
-    for name in ERRORS:
-        times = [np.array(one.grasp_us if name in GRASP_ERRORS else one.chain_us) for one in candidates]
-        fronts[name] = on_front([one.of(name) for one in candidates], times, _resolution(name))
-    return fronts
-
-
-def _row(entry: Measured, front: list[str] | None) -> Row:
-    """Return the row of a setting; front: the errors on whose Pareto front it is, None for the reference."""
-    own = front is None  # a reference has no errors against itself, except those of labels, tracker and regression
-    compared_with_itself = ("error_ms_gross_slip", "error_share_detection", "error_mm_moved") if own else ()
+def _row(entry: Measured, *, is_reference: bool) -> Row:
+    """Return the row of a setting; a reference has no errors against itself, only those of the methods behind it."""
+    compared_with_itself = ("error_ms_gross_slip", "error_share_detection", "error_mm_moved") if is_reference else ()
     errors = {name: None if name in compared_with_itself else mean(entry.of(name)) for name in ERRORS}
-    on = None if front is None else ", ".join(name.removeprefix("error_") for name in front) or "none"
     return {
         "setting": entry.setting.name,
         "flags": entry.setting.flags or "none",
         "trials": len(entry.chain_us),
         **errors,
-        "detection_moved_ms_median": None if own else quantile(entry.detection_moved_ms),
+        "detection_moved_ms_median": None if is_reference else quantile(entry.detection_moved_ms),
         **run_times(np.array(entry.chain_us)),
         "record_us_median": float(np.median(entry.record_us)),
         "grasp_us_median": float(np.median(entry.grasp_us)),
-        "pareto": on,
     }
 
 
 def summary(rows: Rows) -> dict[str, Any]:
-    """Return the numbers of settings and trials, and the commands to which a row's flags belong."""
+    """Return the numbers of settings and trials, and the flags of the reference."""
     settings = [row for row in rows if "flags" in row]
-    return {
-        "settings": len(settings),
-        "trials": settings[0]["trials"],
-        "reference": settings[0]["flags"],
-        "trial": "evetac record --scene slip TRIAL_FLAGS",
-        "grasp": "evetac grasp --object GRASPED_OBJECT --seed N --controller paper --model shipped"
-        f" --lift-s {LIFT_S:g} --balance-s {BALANCE_S:g} FLAGS",
-    }
+    return {"settings": len(settings), "trials": settings[0]["trials"], "reference": settings[0]["flags"]}
 
 
 def draw_settings(figure: Any, rows: Rows, errors: Sequence[str]) -> None:

@@ -11,9 +11,8 @@ a reference of much smaller steps on the same nodes; node pitches with a much fi
 errors of one choice do not hide those of the other. Columns, over the trials:
 
 - error_ms_gross_slip: onset of gross slip, half a pixel slid (sim.scenes.true_slip), interpolated between slices; root
-  mean square. error_ms_last_stuck_node: the same, but sliding counts only while no node of the pad sticks.
-- error_um_before, error_px_before: position of the object, sampled every ms up to the onset, root mean square.
-- error_um_gel_before: displacement of the gel at 8 x 7 points, likewise.
+  mean square.
+- error_um_before: position of the object, sampled every ms up to the onset, root mean square.
 - error_um_after: distance between the objects AFTER_MS after the onset, median: the effect of an error in time.
 - time_us_*: run time per simulated ms as thread time, so that other programs do not count, averaged within a trial
   because few slices have shorter steps; over the trials.
@@ -36,7 +35,7 @@ from evetac_cli.evaluate.common.rows import Extent, SolverSetting, collect, line
 from evetac_cli.evaluate.cost import EvaluateCost
 from evetac_cli.evaluate.cost import camera as camera_cost
 from evetac_cli.jobs import Progress, Row, Rows
-from evetac_cli.sim.gel import dots, gel
+from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.contact import gap_profile, pad_nodes, pressure
 from evetac_cli.sim.scenes.shared import GRAVITY_M_S2
@@ -60,7 +59,6 @@ PITCH_STEP_MS = 0.25  # in the runs that compare node pitches
 # Errors in the plot, for the rows that have them.
 ERRORS = (
     "error_ms_gross_slip",
-    "error_ms_last_stuck_node",
     "error_um_before",
     "error_um_after",
     "error_us_median",
@@ -138,14 +136,11 @@ def draw_trial(seed: int) -> GelTrial:
 class Slide(NamedTuple):
     """A solved trial, sampled after every ms.
 
-    pose: (samples, 3); gel_m: (samples, points, 2). slid_px, every_node_slid_px: (samples,), sliding of the object in
-    gross slip, and since no node sticks. slice_us: (samples,), run time.
+    pose: (samples, 3). slid_px: (samples,), sliding of the object in gross slip. slice_us: (samples,), run time.
     """
 
     pose: Floats
-    gel_m: Floats
     slid_px: Floats
-    every_node_slid_px: Floats
     slice_us: Floats
 
 
@@ -189,10 +184,8 @@ def solve(trial: GelTrial, solver: Solver) -> Slide:
     trial = grid(trial, solver)
     state, stepper = trial.start(), Stepper(solver, SLICE_S)
     shares = trial.shares(state)
-    x, y = 0.45 * PAD_M[0], 0.45 * PAD_M[1]
-    places = dots.interpolation(state.node_xy_m, pad_nodes(8, 7, (-x, x), (-y, y)).reshape(-1, 2))
     slip = GroundTruthSlip(state, MM_PER_PX, None)
-    samples: list[tuple[Floats, Floats, float, float, float]] = []
+    samples: list[tuple[Floats, float, float]] = []
     for slice_ in range(round(trial.seconds / SLICE_S)):
         ends_n = (trial.grip_n(slice_ * SLICE_S), trial.grip_n((slice_ + 1) * SLICE_S))
         weight_n = trial.weight_n((slice_ + 0.5) * SLICE_S)
@@ -200,8 +193,7 @@ def solve(trial: GelTrial, solver: Solver) -> Slide:
         stepper.advance(state, shares, ends_n, weight_n, trial.friction)
         took_us = (time.thread_time() - started) * 1e6
         slip.follow(state, shares, ends_n[1])
-        slid_px = (slip.slid_px, float(slip.truth()["truth/every_node_slid_px"]))
-        samples.append((state.pose.copy(), dots.displacement_at(state, *places), *slid_px, took_us))
+        samples.append((state.pose.copy(), slip.slid_px, took_us))
     return Slide(*(np.array(column) for column in zip(*samples, strict=True)))
 
 
@@ -241,37 +233,27 @@ def _part_rows(part: str, cases: Sequence[GelTrial], full: bool) -> Iterator[Row
 def _row(part: str, setting: SolverSetting, solved: Sequence[Slide], references: Sequence[Slide]) -> Row:
     """Return the row of a setting over all trials of a panel."""
     errors = [_errors(one, reference) for one, reference in zip(solved, references, strict=True)]
-    onset, last_stuck, before, gel_before, after = (np.array(column) for column in zip(*errors, strict=True))
+    onset, before, after = (np.array(column) for column in zip(*errors, strict=True))
     return {
         "part": part,
         "setting": setting.name,
         "flags": setting.flags,
         "trials": len(solved),
         "error_ms_gross_slip": _rms(onset),
-        "error_ms_last_stuck_node": _rms(last_stuck),
         "error_um_before": _rms(before),
-        "error_px_before": _rms(before / (1e3 * MM_PER_PX)),
-        "error_um_gel_before": _rms(gel_before),
         "error_um_after": float(np.median(after[np.isfinite(after)])) if np.isfinite(after).any() else None,
         **run_times(np.array([one.slice_us.mean() for one in solved])),
     }
 
 
-def _errors(one: Slide, reference: Slide) -> tuple[float, float, float, float, float]:
-    """Return both onset errors in ms, and those of object and gel before and object after it in um."""
+def _errors(one: Slide, reference: Slide) -> tuple[float, float, float]:
+    """Return the error of the onset in ms, and those of the object before and after it in um."""
     true_ms = onset_ms(reference.slid_px)
     stop = len(reference.pose) if math.isnan(true_ms) else max(int(true_ms), 1)
     apart = ((one.pose - reference.pose)[:, :2] ** 2).sum(axis=-1)
-    gel_apart = ((one.gel_m - reference.gel_m)[:stop] ** 2).sum(axis=-1)
     later = stop + AFTER_MS
     after = 1e6 * math.sqrt(apart[later]) if later < len(apart) else math.nan
-    return (
-        onset_ms(one.slid_px) - true_ms,
-        onset_ms(one.every_node_slid_px) - onset_ms(reference.every_node_slid_px),
-        1e6 * math.sqrt(apart[:stop].mean()),
-        1e6 * math.sqrt(gel_apart.mean()),
-        after,
-    )
+    return onset_ms(one.slid_px) - true_ms, 1e6 * math.sqrt(apart[:stop].mean()), after
 
 
 def _rms(values: Floats) -> float | None:

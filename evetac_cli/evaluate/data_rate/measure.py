@@ -26,11 +26,9 @@ import numpy as np
 
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.report import report, report_job
 from evetac_cli.evaluate.common.rows import each, mean, sd
-from evetac_cli.evaluate.data_rate import EvaluateDataRate
-from evetac_cli.evaluate.data_rate.paper import COLUMNS, PAPER, SCENE
+from evetac_cli.evaluate.data_rate import COLUMNS, PAPER, SCENE, EvaluateDataRate
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.kernels.slip.covariates import TOUCH_N
@@ -39,14 +37,13 @@ from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.layout.ancestry import scene_words
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings import slip_grid
-from evetac_cli.store.recordings.onset import LabelledOnset, gel_counts, in_short, labelled_onset
+from evetac_cli.store.recordings.onset import LabelledOnset, in_short, labelled_onset
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
+from evetac_cli.store.recordings.slip_covariates import gel_counts
 
 METHOD = 4
 INTERVALS = ("whole", "contact", "slip")
 ALL = "all"  # in the column `object` of a row over all recordings
-SHOWN = 6  # most recordings in the plot
-SHOWN_MS = 10  # a point in the plot is the mean over this long
 
 
 class SliceInterval(NamedTuple):
@@ -67,7 +64,7 @@ def jobs(files: list[Path], params: EvaluateDataRate, out: Path | None) -> list[
 
 
 def run(job: Job, params: EvaluateDataRate, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Return a row per recording and a row per interval with the paper's figures, and plot the data rates over time."""
+    """Return a row per recording and a row per interval with the paper's figures."""
     parents: list[Header] = []
     for path in job.inputs:
         with open_recording(path) as recording:
@@ -101,11 +98,7 @@ def run(job: Job, params: EvaluateDataRate, *, force: bool = False, progress: Pr
         rgb = {"columns": COLUMNS, "rgb_bytes_s": _rgb_bytes_s(params)}
         return [*rows, *of_intervals, *by_object], {"trajectories": len(rows), **shares, **rgb}
 
-    outcome = report(job, "evaluate data-rate", METHOD, parameters, parents, measure, force=force)
-    shown = min(len(job.inputs), SHOWN)
-    return picture.beside(
-        outcome, job.output, lambda figure: _draw(figure, job.inputs, params, outcome), (11.0, 1.2 + 2.0 * shown)
-    )
+    return report(job, "evaluate data-rate", METHOD, parameters, parents, measure, force=force)
 
 
 def for_people(rows: Rows, params: EvaluateDataRate) -> tuple[Rows, list[str]]:
@@ -290,38 +283,6 @@ def _interval_row(
         "paper_share_sd": paper_sd,
         "deviation_from_paper_sds": off,
     }
-
-
-def _draw(figure: Any, paths: tuple[Path, ...], params: EvaluateDataRate, outcome: Outcome) -> None:
-    """Plot bytes per second over time, one panel per recording, up to SHOWN, with a line for the RGB sensor."""
-    simulated = " (simulated)" if outcome.simulated else ""
-    more = f", the first {SHOWN} of {len(paths)} recordings" if len(paths) > SHOWN else ""
-    figure.suptitle(f"Data rate of {COLUMNS} columns, mean over {SHOWN_MS} ms{more}{simulated}")
-    shown = paths[:SHOWN]
-    panels = picture.panels(figure, len(shown), 1)
-    rgb = f"RGB sensor, {params.rgb_frame} bytes at {params.rgb_hz:g} Hz"
-    shaded = (("contact", "contact", "0.6"), ("slip", f"{params.around_s:g} s around the onset of slip", picture.EARLY))
-    for axes, path in zip(panels, shown, strict=True):
-        with open_recording(path) as recording:
-            bytes_a_slice = gel_counts(recording, columns=COLUMNS) * params.event_bytes
-            spans = intervals(recording, params.around_s)
-        edges = np.arange(0, len(bytes_a_slice), SHOWN_MS)
-        width = np.diff(np.append(edges, len(bytes_a_slice)))
-        mb_s = np.add.reduceat(bytes_a_slice, edges) / width * 1e-3
-        axes.step(edges / SLICES_PER_S, mb_s, where="post", linewidth=0.8, color=picture.CORRECT, label="events")
-        axes.axhline(_rgb_bytes_s(params) * 1e-6, color="black", linestyle="--", linewidth=1, label=rgb)
-        for name, label, colour in shaded:
-            if not spans[name].missing_because:
-                span = (spans[name].start / SLICES_PER_S, spans[name].stop / SLICES_PER_S)
-                axes.axvspan(*span, color=colour, alpha=0.25, linewidth=0, label=label)
-        axes.set(
-            ylabel="data rate [MB/s]",
-            xlim=(0, len(bytes_a_slice) / SLICES_PER_S),
-            ylim=(0, None),
-            title=picture.plain(path.name),
-        )
-    panels[-1].set_xlabel("time [s]")
-    picture.legend(figure, panels)
 
 
 STAGE = Stage(jobs, run, for_people=for_people)

@@ -20,14 +20,11 @@ import numpy as np
 from evetac_cli.arrays import Floats
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.report import report, report_job
 from evetac_cli.evaluate.common.rows import each, mean
-from evetac_cli.evaluate.force import EvaluateForce
+from evetac_cli.evaluate.force import PAPER, EvaluateForce
 from evetac_cli.evaluate.force import touch_maps as touch_force
-from evetac_cli.evaluate.force.paper import PAPER
 from evetac_cli.evaluate.force.touch_maps import ForceReportJob
-from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.stages.force.train_force import (
@@ -45,7 +42,7 @@ from evetac_cli.store.layout.provenance import Header
 
 METHOD = 4
 SENSORS = ("events", "frames")  # in which dots are tracked; both are in the paper's table
-STYLES = {"regression": (picture.COLOURS[0], "linear regression"), "network": (picture.COLOURS[3], "network")}
+METHODS = ("regression", "network")
 
 Models = dict[tuple[str, str], list[tuple[Path, Header, ForceModel]]]  # by type of sensor and tracker
 
@@ -90,21 +87,14 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool = False, prog
                 check_grid(model, model_path, tracks)
                 check_disjoint([model_header], [tracks.header], "evaluated on", [path])
     parents = [*headers, *(header for of_sensor in models.values() for _, header, _ in of_sensor)]
-    trials: list[TrialForce] = []
-
-    def predictions() -> list[TrialForce]:
-        if not trials:
-            noise = np.random.default_rng(params.seed)
-            trials.extend(_predict(path, models, params, noise) for path in each(files, progress))
-        return trials
 
     def measure() -> tuple[Rows, dict[str, Any]]:
-        rows = [_row(one, name) for one in predictions() for name in one.predicted_n]
-        return rows, _summary(predictions(), rows, params)
+        noise = np.random.default_rng(params.seed)
+        trials = [_predict(path, models, params, noise) for path in each(files, progress)]
+        rows = [_row(one, name) for one in trials for name in one.predicted_n]
+        return rows, _summary(trials, rows, params)
 
-    outcome = report(job, "evaluate force", METHOD, recipe_of(params), parents, measure, force=force)
-    sensors = len(models)
-    return picture.beside(outcome, job.output, lambda figure: _draw(figure, predictions()), (13.0, 1.0 + 3.2 * sensors))
+    return report(job, "evaluate force", METHOD, recipe_of(params), parents, measure, force=force)
 
 
 def for_people(rows: Rows, params: EvaluateForce) -> tuple[Rows, list[str]]:
@@ -217,7 +207,7 @@ def _summary(trials: list[TrialForce], rows: Rows, params: EvaluateForce) -> dic
             name = sensor if len(trackers) == 1 else f"{sensor}_{tracker}"
             own = [row for row in fitted if (row["sensor"], row["tracker"]) == (sensor, tracker)]
             counts[f"{name}_trajectories"] = sum(row["model"] == own[0]["model"] for row in own)
-            for model in STYLES:
+            for model in METHODS:
                 of_model = [row for row in own if row["model"] == model]
                 means |= {f"{name}_{model}_mae_n_{x}": mean(row[f"mae_n_{x}"] for row in of_model) for x in forces.AXES}
     force = np.concatenate([one.samples.force_n for one in trials])
@@ -232,26 +222,6 @@ def _summary(trials: list[TrialForce], rows: Rows, params: EvaluateForce) -> dic
         "true_force_max_y_n": float(force[:, 1].max()),
         **means,
     }
-
-
-def _draw(figure: Any, trials: list[TrialForce]) -> None:
-    """Plot the first trajectory of every sensor and tracker, as in the paper's figure: force sensor and both models."""
-    shown: dict[tuple[str, str], TrialForce] = {}
-    for one in sorted(trials, key=lambda one: not one.fitted):  # stable: those of fitted sensors first
-        shown.setdefault((one.sensor, one.tracker), one)
-    panels = figure.subplots(len(shown), 2, squeeze=False, sharex=True, sharey=True)
-    for row, ((sensor, tracker), one) in zip(panels, shown.items(), strict=True):
-        order = one.samples.slice_ / SLICES_PER_S
-        for axis, axes in enumerate(row):
-            axes.plot(order, one.samples.force_n[:, axis], color="black", linewidth=1.5, zorder=3, label="force sensor")
-            for name, (colour, words) in STYLES.items():
-                axes.plot(order, one.predicted_n[name][0][:, axis], color=colour, linewidth=1.0, label=words)
-            axes.set_title(picture.plain(f"dots in {sensor} by {tracker}, sensor {one.sensor_name}"))
-            axes.set_ylabel(f"shear force {forces.AXES[axis]} [N]")
-    for axes in panels[-1]:
-        axes.set_xlabel("time [s]")
-    figure.suptitle("Shear force from dots, an unseen trajectory (simulated)")
-    picture.legend(figure, panels[0])
 
 
 STAGE = Stage(jobs, run, for_people=for_people)

@@ -26,17 +26,15 @@ import numpy as np
 from evetac_cli.arrays import Flags, Floats
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.report import ModelsReportJob, report
 from evetac_cli.evaluate.common.rows import each, mean
 from evetac_cli.evaluate.force import EvaluateForce
-from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Outcome, Progress, Rows
 from evetac_cli.kernels.force.gel_forces import Forces
 from evetac_cli.kernels.force.models import CONTACT_N
 from evetac_cli.sim.setup.plan import read_sensor
 from evetac_cli.sim.setup.sensor import Sensor
-from evetac_cli.stages.force import adapt_touch
+from evetac_cli.stages.force import adapt_touch, readings
 from evetac_cli.stages.related_files import check_disjoint, recording_with_truth
 from evetac_cli.stages.touch import known_gel
 from evetac_cli.stages.touch.known_gel import SHEAR_MODULUS_PA, GelShape, GelWeights, KnownGel
@@ -93,12 +91,11 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool, progress: Pr
     files, own = job.inputs[: len(job.inputs) - job.own], job.inputs[len(job.inputs) - job.own :]
     headers, own_headers, by_sensor = _headers(files, own)
     identified = _identified(params.identified, files) if params.identified else {}
-    trials: list[ForceTrial] = []
     folds = _Folds()
 
     def measure() -> tuple[Rows, dict[str, Any]]:
         gels: dict[str, dict[str, GelWeights]] = {}
-        trials.extend(_predict(path, folds, gels, by_sensor, identified, params) for path in each(files, progress))
+        trials = [_predict(path, folds, gels, by_sensor, identified, params) for path in each(files, progress)]
         range_n = max(float(one.normal_n.max()) for one in trials)
         if not range_n > 0:
             raise InputError("no contact", where=str(files[0]), expected="recordings in which the gel is pressed")
@@ -109,10 +106,7 @@ def run(job: ForceReportJob, params: EvaluateForce, *, force: bool, progress: Pr
     recipe = recipe_of(params) | (
         {"identified": {name: gel.for_recipe() for name, gel in identified.items()}} if identified else {}
     )
-    outcome = report(job, "evaluate force", METHOD, recipe, parents, measure, force=force)
-    if not trials:
-        return outcome
-    return picture.beside(outcome, job.output, lambda figure: _draw(figure, trials[0]), (13.0, 8.0))
+    return report(job, "evaluate force", METHOD, recipe, parents, measure, force=force)
 
 
 def _headers(
@@ -206,7 +200,7 @@ def _predict(
         if name not in gels:
             own = by_sensor.get(name, [])
             gels[name] = _gels(name, known_sensor(recording), folds, own, identified.get(name), params)
-        at = slice(None, None, adapt_touch.EVERY)
+        at = slice(None, None, readings.EVERY)
         predicted, touches = {}, {}
         for state, gel in gels[name].items():
             over = folds.of(gel, tracks)
@@ -269,27 +263,3 @@ def _summary(trials: list[ForceTrial], rows: Rows, range_n: float, params: Evalu
         summary[f"{word}_worst_sensor_mae_n"] = max((float(np.mean(of)) for of in by_sensor.values()), default=None)
     summary["contact_right"] = mean(row["contact_right"] for row in rows if row["stiffness"] == "unknown")
     return summary
-
-
-def _draw(figure: Any, trial: ForceTrial) -> None:
-    """Plot the first trajectory: forces with a band of one standard deviation, for each state of knowledge."""
-    names = list(trial.predicted)
-    panels = figure.subplots(3, len(names), squeeze=False, sharex=True, sharey="row")
-    time_s = np.arange(len(trial.normal_n)) * adapt_touch.EVERY / SLICES_PER_S
-    for column, name in enumerate(names):
-        forces = trial.predicted[name]
-        shown = (
-            ("shear force x", trial.shear_n[:, 0], forces.shear_n[:, 0], forces.shear_sd_n[:, 0]),
-            ("shear force y", trial.shear_n[:, 1], forces.shear_n[:, 1], forces.shear_sd_n[:, 1]),
-            ("normal force", trial.normal_n, forces.normal_n, forces.normal_sd_n),
-        )
-        for axes, (what, true, shown_n, sd) in zip(panels[:, column], shown, strict=True):
-            axes.plot(time_s, true, color="black", linewidth=1.5, label="true")
-            axes.plot(time_s, shown_n, color=picture.COLOURS[0], linewidth=1.0, label="estimated")
-            band = {"color": picture.COLOURS[0], "alpha": 0.2, "linewidth": 0}
-            axes.fill_between(time_s, shown_n - sd, shown_n + sd, label="one standard deviation", **band)
-            axes.set_ylabel(f"{what} [N]" if column == 0 else "")
-        panels[0, column].set_title(f"gel {name}")
-        panels[-1, column].set_xlabel("time [s]")
-    figure.suptitle(picture.plain(f"Force from dots, {trial.sensor_name}, an unseen trajectory (simulated)"))
-    picture.legend(figure, panels[0])

@@ -8,12 +8,13 @@ their thresholds differ, they are part of the setting.
 
 Balance counts only trials that lifted the object, as in the paper; `success` counts both phases. Motion of the object,
 grip force and reopening of the gripper are means (or medians) over trials that held the object to the end, because an
-object that fell may have moved by any distance. The force relative to the least force that holds the object, and
-whether it follows the weight, come from grip_forces.py.
+object that fell may have moved by any distance. The grip force is also given relative to the least force that holds the
+object, by class of mass, and whether it follows the weight, only for objects that were held to the end.
 """
 
 import json
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,16 +23,17 @@ import numpy as np
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate.common import picture
+from evetac_cli.evaluate.common.marks import Source
 from evetac_cli.evaluate.common.report import report, report_job
 from evetac_cli.evaluate.common.rows import each, ends, mean, quantile, resampled, sd
-from evetac_cli.evaluate.common.source import Source
-from evetac_cli.evaluate.grasp import EvaluateGrasp, grip_forces
-from evetac_cli.evaluate.grasp.paper import PAPER
+from evetac_cli.evaluate.grasp import PAPER, EvaluateGrasp
+from evetac_cli.evaluate.subject import grouped
 from evetac_cli.events import SLICES_PER_S
-from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
+from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.kernels import estimates
 from evetac_cli.kernels.grip.load_law import MARGIN
 from evetac_cli.sim import grasp_outcome
+from evetac_cli.sim.scenes.shared import GRAVITY_M_S2
 from evetac_cli.sim.setup.plan import Plan, read_plan
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
@@ -48,18 +50,9 @@ MEANS = (
 )
 
 USUAL = {"gain": 1.0, "latency_ms": 0, "control_hz": 500.0}  # named in a setting only if they differ from these
-Lines = list[tuple[int, dict[str, Any]]]  # of the plot, from the top down: number and row
-
-WIDTH_IN, FORCES_IN = 13.0, 4.5  # of the plot, and the height of its part on force against weight
 MOST_SETTINGS = 8  # this many markers can be distinguished
-# Column of the rows by object; the trials' column behind it, if any; axis label.
-PANELS = (
-    ("success", "", "share of trials lifted and balanced"),
-    ("opening_after_balance_ticks", "opening_after_balance_ticks", "change of the opening at the end, mean [ticks]"),
-    ("force_end_n", "force_end_n", "grip force at the end, mean [N]"),
-    ("moved_mm_median", "moved_mm", "object moved in the gripper, median [mm]"),
-)
-INTERVAL = "95 % interval by the number of trials (Wilson)"
+CLASSES_G = ((30.0, 100.0), (100.0, 250.0), (250.0, 600.0))
+STAYED_MM = 3.0  # an object that moved less counts as not moved
 MOVED_MM = PAPER.figures["moved less in most trials",].value
 
 
@@ -75,7 +68,7 @@ def _is_second_finger(path: Path) -> bool:
 
 
 def run(job: Job, params: EvaluateGrasp, *, force: bool = False, progress: Progress = silent) -> Outcome:
-    """Return rows of settings, objects and trials, and plot them."""
+    """Return rows of settings, objects and trials; plot force against weight if the forces that hold are known."""
     headers = []
     for path in job.inputs:
         with StageFile(path, "recording") as recording:
@@ -89,9 +82,12 @@ def run(job: Job, params: EvaluateGrasp, *, force: bool = False, progress: Progr
         return tables(with_detectors([trial_row(path, header) for path, header in paths], headers))
 
     outcome = report(job, "evaluate grasp", METHOD, recipe_of(params), headers, measure, force=force)
-    source = Source.of(headers)
-    size_in = _size_in(outcome.rows, source)
-    return picture.beside(outcome, job.output, lambda figure: _draw(figure, outcome.rows, source), size_in)
+    trials = [row for row in outcome.rows if "file" in row and row["balanced"] and row.get("holding_end_n")]
+    by_setting = grouped(trials, ("setting",))[:MOST_SETTINGS]
+    settings = [(number, rows[0]["setting"], rows) for number, rows in enumerate(by_setting)]
+    if not settings:
+        return outcome
+    return picture.beside(outcome, job.output, lambda figure: draw_forces(figure, settings), (7.5, 5.0))
 
 
 def for_people(rows: Rows, params: EvaluateGrasp) -> tuple[Rows, list[str]]:
@@ -159,7 +155,7 @@ def tables(trials: Rows) -> tuple[Rows, dict[str, Any]]:
         row["reopened_share"] = mean(one["reopened_share"] for one in rows)  # every column counts the same
         row["reopened_columns"] = sum(one["reopened_share"] is not None for one in rows)
         row |= _ends(members, rows)
-        row |= {key: value for key, value in grip_forces.firmness(members).items() if key not in ("grasps", "kept")}
+        row |= {key: value for key, value in firmness(members).items() if key not in ("grasps", "kept")}
         whole.append(_with_papers(row, "paper_success", "paper_reopened_share"))
     shares: dict[str, Any] = {
         f"{name}_share": float(np.mean([row[name] for row in trials])) for name in ("lifted", "balanced")
@@ -222,108 +218,6 @@ def _with_papers(row: dict[str, Any], *columns: str) -> dict[str, Any]:
     return {**row, **{column: PAPER.value_of(column, row) for column in columns}}
 
 
-def _size_in(rows: Rows, source: Source) -> tuple[float, float]:
-    """Return width and height in inches: one line per setting of every object, and the legend."""
-    lines, shown = _lines(_by_object(rows))
-    styles = {style["label"] for name, *_ in PANELS for _, _, style in _papers(lines, name, source)}
-    legend_in = picture.legend_height_in([*shown, INTERVAL, *styles], WIDTH_IN)
-    forces_in = FORCES_IN if _weighed(rows, shown) else 0.0
-    return WIDTH_IN, 1.4 + max(0.2 * (lines[-1][0] + 1), 0.9) + legend_in + forces_in
-
-
-def _by_object(rows: Rows) -> Rows:
-    return [row for row in rows if "moved_mm_median" in row and "object" in row]
-
-
-def _lines(by_object: Rows) -> tuple[Lines, list[str]]:
-    """Return the line of each row by object and setting, with a gap between objects, and the settings to draw."""
-    shown = list(dict.fromkeys(row["setting"] for row in by_object))[:MOST_SETTINGS]
-    lines: Lines = []
-    for number in sorted({row["object"] for row in by_object}, key=lambda name: (isinstance(name, str), name)):
-        of_object = {row["setting"]: row for row in by_object if row["object"] == number}
-        start = lines[-1][0] + 2 if lines else 0
-        present = [setting for setting in shown if setting in of_object]
-        lines += [(start + place, of_object[setting]) for place, setting in enumerate(present)]
-    return lines, shown
-
-
-def _weighed(rows: Rows, shown: Sequence[str]) -> dict[str, Rows]:
-    """Return the held trials of each drawn setting that have both force and weight; {} if there are none."""
-    trials = [row for row in rows if "file" in row and row["balanced"] and row.get("holding_end_n")]
-    by_name = {name: [row for row in trials if without_gain(row["setting"]) == without_gain(name)] for name in shown}
-    return {name: members for name, members in by_name.items() if members}
-
-
-def _draw(figure: Any, rows: Rows, source: Source) -> None:
-    """Draw a line per setting of every object, and below it grip force against weight where that is known."""
-    shown = _lines(_by_object(rows))[1]
-    weighed = _weighed(rows, shown)
-    if weighed:
-        height_in = figure.get_size_inches()[1]
-        figure, below = figure.subfigures(2, 1, height_ratios=(height_in - FORCES_IN, FORCES_IN))
-        grip_forces.draw(below, [(shown.index(name), name, members) for name, members in weighed.items()])
-    _draw_lines(figure, rows, source)
-
-
-def _draw_lines(figure: Any, rows: Rows, source: Source) -> None:
-    """Draw a line per setting of every object: share of trials, then figures of the trials that held their object."""
-    by_object = _by_object(rows)
-    lines, shown = _lines(by_object)
-    settings = len({row["setting"] for row in by_object})
-    of_all = "" if settings == len(shown) else f"; the first {MOST_SETTINGS} of {settings} settings"
-    figure.suptitle(f"Grasps (simulated){of_all}")
-    panels = picture.panels(figure, len(PANELS), len(PANELS), sharey=True)
-    for axes, (name, of_trial, title) in zip(panels, PANELS, strict=True):
-        for place, row in lines:
-            number = shown.index(row["setting"])
-            style = {**picture.series(number), "linestyle": "none"}
-            if of_trial:
-                values = [one[of_trial] for one in _held_trials(rows, row)]
-                axes.plot(values, np.full(len(values), place), **{**style, "markersize": 3.5, "alpha": 0.35})
-            else:
-                reach = picture.wilson(row[name], row["trials"])
-                axes.errorbar(row[name], place, xerr=reach, label=INTERVAL, **picture.INTERVAL)
-            if row[name] is not None:
-                axes.plot(row[name], place, label=f"controller {row['setting']}", **{**style, "markersize": 8})
-        for value, middle, style in _papers(lines, name, source):
-            axes.plot(value, middle, **style)
-        if of_trial and all(row[name] is None for _, row in lines):
-            picture.say_instead(axes, "no object was held")
-        axes.set_xlabel(title)
-    picture.share_axis(panels[0].xaxis)
-    middles = _middles(lines)
-    panels[0].set_yticks(list(middles.values()), [f"object {number}" for number in middles])
-    panels[0].set_ylim(lines[-1][0] + 0.8, -0.8)
-    picture.legend(figure, panels)
-
-
-def _held_trials(rows: Rows, of: dict[str, Any]) -> Rows:
-    """Return the trials of an object and setting that held it to the end."""
-    trials = (row for row in rows if "file" in row and row["balanced"])
-    return [row for row in trials if (row["setting"], row["object"]) == (of["setting"], of["object"])]
-
-
-def _middles(lines: Lines) -> dict[int | str, float]:
-    """Return the vertical middle of each object's lines."""
-    places: dict[int | str, list[int]] = {}
-    for place, row in lines:
-        places.setdefault(row["object"], []).append(place)
-    return {number: (of_object[0] + of_object[-1]) / 2 for number, of_object in places.items()}
-
-
-def _papers(lines: Lines, name: str, source: Source) -> Iterator[tuple[float, float, dict[str, Any]]]:
-    """Yield the paper's figure of every object in a panel, the vertical middle of its lines, and its style.
-
-    The figure is that of the object's first line for which the paper has one.
-    """
-    column = f"paper_{name}"
-    for number, place in _middles(lines).items() if column in PAPER.columns else ():
-        of_object = (row for _, row in lines if row["object"] == number)
-        beside = next(filter(None, (PAPER.beside(column, row, source) for row in of_object)), None)
-        if beside is not None:
-            yield beside.value, place, picture.of_paper(beside.mark, "real gripper")
-
-
 def with_detectors(trials: Rows, headers: Sequence[Header]) -> Rows:
     """Return the trials with detector, tracker and threshold, which are None without a detector.
 
@@ -370,6 +264,76 @@ def describe_setting(plan: Plan, planned: dict[str, Any]) -> str:
 def without_gain(setting: str) -> str:
     """Return the name of a setting without its gain."""
     return ", ".join(word for word in setting.split(", ") if not word.startswith("gain "))
+
+
+def firmness(trials: Rows) -> Row:
+    """Return how many grasps of one controller kept their object, and with how much excess force; None where unknown.
+
+    Excess force is relative to the least force that holds the object, in the `over_holding_counted` grasps that kept
+    it and of which this force is known.
+    """
+    held_trials = [row for row in trials if row["balanced"]]
+    with_excess = [row for row in held_trials if row.get("over_holding_end") is not None]
+    row: Row = {
+        "grasps": len(trials),
+        "kept": len(held_trials) / len(trials),
+        "lost": ", ".join(
+            f"{count} {how}" for how, count in Counter(row["failure"] for row in trials if row["failure"]).most_common()
+        ),
+    }
+    row["over_holding_counted"] = len(with_excess)
+    for name in ("end", "mean", "peak"):
+        values = [one[f"over_holding_{name}"] for one in with_excess]
+        row |= {
+            f"over_holding_{name}_median": quantile(values, 0.5),
+            f"over_holding_{name}_p95": quantile(values, 0.95),
+        }
+    for low, high in CLASSES_G:
+        values = [one["over_holding_end"] for one in with_excess if low <= one["carried_g"] < high]
+        row[f"over_holding_counted_{low:g}_{high:g}_g"] = len(values)
+        row[f"over_holding_end_p95_{low:g}_{high:g}_g"] = quantile(values, 0.95)
+    row["force_follows_weight"] = rank_correlation(
+        [one["carried_g"] for one in with_excess], [one["force_end_n"] for one in with_excess]
+    )
+    row["stayed_share"] = mean(one["moved_mm"] < STAYED_MM for one in held_trials)
+    row["motor_work_j_median"] = quantile([one["motor_work_j"] for one in held_trials], 0.5)
+    reactions, false = (sum(one[name] for one in trials) for name in ("slip_events", "false_slip_events"))
+    return {**row, "reactions_mean": reactions / len(trials), "false_share": false / reactions if reactions else None}
+
+
+def rank_correlation(first: Sequence[float], second: Sequence[float]) -> float | None:
+    """Return Spearman's rank correlation of two columns, ties sharing their rank; None where it is undefined."""
+    if len(first) < 3 or any(np.ptp(values) == 0.0 for values in (first, second)):
+        return None
+    from scipy import stats  # takes half a second to load
+
+    return float(stats.spearmanr(first, second).statistic)
+
+
+def draw_forces(figure: Any, settings: Sequence[tuple[int, str, Rows]]) -> None:
+    """Plot grip force at the end against weight, with the least force that holds each object.
+
+    settings: number of the series, setting, held trials. Both axes are logarithmic, so proportionality is a slope of 1.
+    """
+    axes = figure.subplots()
+    weights_n, holding_n = [], []
+    for number, name, trials in settings:
+        x_n = [row["carried_g"] * 1e-3 * GRAVITY_M_S2 for row in trials]
+        weights_n += x_n
+        holding_n += [row["holding_end_n"] for row in trials]
+        style = {**picture.series(number), "linestyle": "none"}
+        axes.plot(x_n, [row["force_end_n"] for row in trials], label=f"controller {name}", **style)
+    axes.plot(weights_n, holding_n, "_", color="0.35", markersize=10, label="least force that holds the object")
+    middle = float(np.median(np.array(holding_n) / np.array(weights_n)))
+    ends = np.array([min(weights_n), max(weights_n)])
+    axes.plot(ends, middle * ends, color="0.35", linewidth=1, label="... at the median friction")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    for axis in (axes.xaxis, axes.yaxis):
+        picture.log_axis(axis)
+    axes.set_xlabel("weight carried at the end [N]")
+    axes.set_ylabel("grip force at the end [N]")
+    picture.legend(figure, [axes])
 
 
 STAGE = Stage(jobs, run, for_people=for_people)

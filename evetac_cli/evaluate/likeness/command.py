@@ -42,7 +42,7 @@ from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings.read import open_recording
 
 if TYPE_CHECKING:
-    from evetac_cli.evaluate.likeness.counts import Slip
+    from evetac_cli.evaluate.likeness.measures import Slip
 
 METHOD = 2
 SLIPS = ("slip", "slip-varied")  # scenes whose slips are used to evaluate the single threshold
@@ -124,8 +124,7 @@ def for_people(rows: Rows, params: EvaluateLikeness) -> tuple[Rows, list[str]]:
 
 
 def _measured_recording(path: Path) -> MeasuredRecording:
-    from evetac_cli.evaluate.likeness.counts import count, slip
-    from evetac_cli.evaluate.likeness.measures import measure
+    from evetac_cli.evaluate.likeness.measures import count, measure, slip
 
     with open_recording(path) as recording:
         header = recording.header
@@ -199,7 +198,7 @@ def _of_recordings(fact: Fact, measured: list[MeasuredRecording]) -> Ours:
 
 def _judged(measured: list[MeasuredRecording]) -> Row:
     """Return how well one threshold detects the slips of recordings; empty if they are of one object."""
-    from evetac_cli.evaluate.likeness.counts import judge
+    from evetac_cli.evaluate.likeness.measures import judge
 
     return judge([one.slip for one in measured if one.slip is not None])
 

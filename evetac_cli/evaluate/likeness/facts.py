@@ -1,7 +1,7 @@
 """The public facts about the real sensor: their sources, and the figures of evetac to compare.
 
 They are listed only in data/likeness.toml. docs/evidence/likeness.md, `evetac evaluate likeness` and the comments
-`fitted to NAME` next to constants refer to them by name. Figures of the paper come from paper.py.
+`fitted to NAME` next to constants refer to them by name. Figures of the paper come from the other subjects.
 
 Every fact has a class, because a fact by which a constant was chosen confirms nothing when it agrees. The classes are
 `used to fit`, `kept as a prediction`, and `cannot be told`: public sources contradict each other or do not state what
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from evetac_cli import resources
-from evetac_cli.evaluate.subjects import PAPER
+from evetac_cli.evaluate import PAPER
 from evetac_cli.kernels import estimates
 from evetac_cli.text_files import read_toml
 
@@ -35,7 +35,7 @@ Values = tuple[float | None, ...]
 class Fact:
     """A public fact: `fact` and its `public` figure in words, its source, class and command.
 
-    - paper, value: the public figures, by their keys in paper.py or as numbers;
+    - paper, value: the public figures, by their keys in `PAPER` or as numbers;
     - sd, trials, low and high: their spread, one per figure: the paper's standard deviation, the 95 % interval (Wilson)
       of a share of this many trials, or the ends;
     - measures: of recordings; in `NAME@SCENE`, simulations count only if they are of this scene;

@@ -11,25 +11,156 @@ before the tracker in both codes is left out.
 
 import json
 import math
-from collections.abc import Iterator
-from dataclasses import replace
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
-from evetac_cli.evaluate.data_rate.measure import dot_places, intervals
-from evetac_cli.evaluate.data_rate.paper import COLUMNS
-from evetac_cli.evaluate.likeness.counts import ABOUT_MS, SliceCounts, about_slip
+from evetac_cli.evaluate.data_rate import COLUMNS
+from evetac_cli.evaluate.data_rate.measure import dot_places, intervals, labels_beside
 from evetac_cli.evaluate.realism.measure import ContactPhase, rest_and_motion, stroked
+from evetac_cli.evaluate.slip.tables import TIMING_BINS
 from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.jobs import Row
 from evetac_cli.kernels import realism
+from evetac_cli.kernels.slip.metrics import EARLIEST_MS, LATEST_MS
 from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.stages import row_blocks
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.recordings.read import Recording, first_slice
+from evetac_cli.store.recordings.read import Recording, first_slice, ramp_start, true_onset
+
+ABOUT_MS = 250  # before and after the onset: the paper's half second
+QUIETEST_MS = 100  # their mean rate is the floor without motion
+BUSY = 25  # events per slice; slices with more are active in the paper's training
+HELD_UNTIL_MS = 500  # before the onset
+BEFORE_MS, AFTER_MS = (-100, -30), (0, 30)
+THRESHOLDS = (25, 35, 50, 75, 100, 150, 200, 300, 400, 600, 800, 1000, 1500)  # events per slice
+NEVER_MS = 10**6  # after the onset: represents no detection
+
+
+@dataclass(frozen=True)
+class SliceCounts:
+    """Events per slice in the columns that the paper counts, and in the window; the onset and the start of its ramp.
+
+    onset: the first slice of gross slip in the truth, or without truth in the labels next to the recording; None if
+    neither has one.
+    """
+
+    sensing: NDArray[np.int64]
+    window: NDArray[np.int64]
+    onset: int | None
+    start: int
+
+    @property
+    def floor(self) -> float:
+        """Events per slice in the quietest 100 ms before the onset, or of all; NaN for shorter recordings."""
+        before = self.sensing if self.onset is None else self.sensing[: self.onset]
+        if len(before) < QUIETEST_MS:
+            return math.nan
+        return float(np.convolve(before, np.ones(QUIETEST_MS), "valid").min()) / QUIETEST_MS
+
+
+def count(recording: Recording) -> SliceCounts:
+    """Count the events of a recording; raise InputError if labels next to it belong to another recording."""
+    sensing = np.zeros(len(recording), np.int64)
+    for block in recording.blocks():
+        slices = np.repeat(np.arange(len(block.starts) - 1), np.diff(block.starts))
+        own = slices[block.events.x < COLUMNS]
+        sensing[block.first : block.stop] = np.bincount(own, minlength=len(block.starts) - 1)
+    window = np.diff(recording.starts) - sensing
+    if recording.has("truth"):
+        return SliceCounts(sensing, window, true_onset(recording), ramp_start(recording))
+    labels = labels_beside(recording)
+    onset = None if labels is None or labels.onset.abstained else labels.onset.slice_
+    return SliceCounts(sensing, window, onset, ramp_start(recording))
+
+
+def about_slip(counts: SliceCounts) -> Row:
+    """Return event measures around the onset, {} without onset; rates are events per ms of the counted columns."""
+    if counts.onset is None:
+        return {}
+    sensing, window = (events.astype(np.float64) for events in (counts.sensing, counts.window))
+    onset, floor = counts.onset, counts.floor
+    about = slice(max(onset - ABOUT_MS, 0), onset + ABOUT_MS)
+    after = slice(onset, onset + ABOUT_MS)
+    rate_before, rate_after = rate(counts, *BEFORE_MS), rate(counts, *AFTER_MS)
+    held_counts = sensing[: max(onset - HELD_UNTIL_MS, 0)]
+    all_after = float(sensing[after].sum() + window[after].sum())
+    earlier = sensing[counts.start : max(onset - 50, counts.start)]
+    return {
+        "events_ms_about_slip": _mean(sensing[about]),
+        "events_ms_100_to_30_before": rate_before,
+        "events_ms_30_before": rate(counts, -30, 0),
+        "events_ms_30_after": rate_after,
+        "before_over_after": (rate_before - floor) / (rate_after - floor) if rate_after > floor else math.nan,
+        "loudest_slice": float(sensing[about].max()) if len(sensing[about]) else math.nan,
+        "loudest_slice_50_before": float(earlier.max()) if len(earlier) else math.nan,
+        "held_above_25_share": _mean((held_counts > BUSY).astype(np.float64)),
+        "window_share_after_slip": float(window[after].sum()) / all_after if all_after else math.nan,
+    }
+
+
+def rate(counts: SliceCounts, first_ms: int, stop_ms: int) -> float:
+    """Return events per ms of the counted columns between two times after the onset, in ms; NaN without onset."""
+    if counts.onset is None:
+        return math.nan
+    first, stop = (max(counts.onset + ms, 0) for ms in (first_ms, stop_ms))
+    return _mean(counts.sensing[first:stop].astype(np.float64))
+
+
+def _mean(values: Floats | NDArray[np.int64]) -> float:
+    return float(values.mean()) if len(values) else math.nan
+
+
+class Slip(NamedTuple):
+    """A slip: its object, and its first detection for each threshold, in ms after the onset."""
+
+    object: str
+    after_ms: tuple[int, ...]
+
+
+def slip(called: str, counts: SliceCounts) -> Slip:
+    """Return a slip of an object; raise ValueError if the counts have no onset."""
+    if counts.onset is None:
+        raise ValueError("expected event counts with an onset of slip")
+    since_start = counts.sensing[counts.start :]
+    loud = (np.flatnonzero(since_start > k) for k in THRESHOLDS)
+    first = (counts.start + int(slices[0]) - counts.onset if len(slices) else NEVER_MS for slices in loud)
+    return Slip(called, tuple(first))
+
+
+def judge(slips: Sequence[Slip]) -> Row:
+    """Return shares of slips detected in time, and in each of the paper's intervals; {} with fewer than two objects.
+
+    `one_threshold_low` and `_high`: the smallest and the largest k that was chosen.
+    """
+    if len({one.object for one in slips}) < 2:
+        return {}
+    threshold_index = {
+        name: _best(one for one in slips if one.object != name) for name in {one.object for one in slips}
+    }
+    after_ms = np.array([one.after_ms[threshold_index[one.object]] for one in slips])
+    intervals = {
+        f"one_threshold_{name}": float(np.mean((after_ms >= low) & (after_ms <= high)))
+        for name, low, high in TIMING_BINS
+    }
+    return {
+        "one_threshold_correct": float(np.mean((after_ms >= EARLIEST_MS) & (after_ms <= LATEST_MS))),
+        **intervals,
+        "one_threshold_low": THRESHOLDS[min(threshold_index.values())],
+        "one_threshold_high": THRESHOLDS[max(threshold_index.values())],
+    }
+
+
+def _best(slips: Iterable[Slip]) -> int:
+    """Return the index of the threshold that is in time most often, the lowest if several are."""
+    after_ms = np.array([one.after_ms for one in slips])
+    in_time = ((after_ms >= EARLIEST_MS) & (after_ms <= LATEST_MS)).mean(axis=0)
+    return int(np.argmax(in_time))
+
 
 EVENT_BYTES, RGB_BYTES_S = 5, 540 * 480 * 3 * 25  # in the paper's comparison
 HALF, MOST = 0.5, 0.8  # shares of the visible contact that slip
@@ -44,9 +175,8 @@ BLOCK_MS = 5000  # tracked in one piece; a multiple of both slice lengths
 
 def measure(recording: Recording, counts: SliceCounts) -> Row:
     """Return all measures; lengths in px, times in ms, rates in events per ms of the counted columns."""
-    row: Row = {"events_ms_whole": _mean(counts.sensing), "window_events_ms_whole": _mean(counts.window)}
     rest, motion = rest_and_motion(recording)
-    row |= _at_rest(rest, recording.frame_px) if rest is not None else {}
+    row = _at_rest(rest, recording.frame_px) if rest is not None else {}
     row |= _of_dots(recording, rest) if motion is not None else {}
     row |= _of_layout(recording) | shares(recording, counts) | about_slip(counts)
     if recording.has("gripper") and counts.onset is not None:
@@ -64,13 +194,12 @@ def _at_rest(rest: ContactPhase, frame_px: tuple[int, int]) -> Row:
     whole = realism.at_rest(*rest.events, frame_px, rest.duration_us)
     own = rest.events.x < COLUMNS
     sensing = (rest.events.t[own], rest.events.x[own], rest.events.y[own], rest.events.p[own])
-    hot, ordinary, hot_pixels = realism.split_hot(*sensing, frame_px, rest.duration_us * 1e-6)
+    hot, ordinary, _ = realism.split_hot(*sensing, frame_px, rest.duration_us * 1e-6)
     rest_ms = rest.duration_us / SLICE_US
     return {
         "events_ms": whole["events_a_slice"],
         "ordinary_hz": whole["ordinary_hz"],
         "hot_pixels": whole["hot_pixels"],
-        "hot_pixels_sensing": float(hot_pixels),
         "ordinary_events_ms": len(ordinary.t_us) / rest_ms,
         "hot_events_ms": len(hot.t_us) / rest_ms,
     }
@@ -97,17 +226,12 @@ def _of_layout(recording: Recording) -> Row:
 
 
 def shares(recording: Recording, counts: SliceCounts) -> Row:
-    """Return bytes per second as a share of the paper's RGB sensor: whole, in contact, around slip.
-
-    Each share is given without and with the window.
-    """
+    """Return bytes per second as a share of the paper's RGB sensor: whole, in contact, around slip."""
     row: Row = {}
     for name, span in intervals(recording, 2e-3 * ABOUT_MS).items():
         if not span.missing_because:
             per_event = SLICES_PER_S * EVENT_BYTES / RGB_BYTES_S
-            sensing, window = (_mean(each[span.start : span.stop]) for each in (counts.sensing, counts.window))
-            row[f"share_{name}"] = sensing * per_event
-            row[f"share_{name}_with_window"] = (sensing + window) * per_event
+            row[f"share_{name}"] = _mean(counts.sensing[span.start : span.stop]) * per_event
     return row
 
 
@@ -164,7 +288,7 @@ def _of_path(recording: Recording, counts: SliceCounts, dots: tuple[StageFile, s
     places = file.read(name, first, stop).astype(np.float64)
     path_px = float(np.nansum(np.linalg.norm(np.diff(places, axis=0), axis=2)))
     events = float(counts.sensing[first:stop].sum()) - counts.floor * (stop - first)
-    row: Row = {"path_px": path_px, "dot_event_share": _near_dots(recording, places, first)}
+    row: Row = {"dot_event_share": _near_dots(recording, places, first)}
     if path_px > 0:
         row["events_per_px"] = events / path_px
     mass_kg = sampled(recording).get("mass_kg")
@@ -196,10 +320,6 @@ def sampled(recording: Recording) -> dict[str, Any]:
         return {}
     found = json.loads(str(recording.read("truth/sampled_parameters")))
     return found if isinstance(found, dict) else {}
-
-
-def _mean(values: NDArray[np.int64]) -> float:
-    return float(values.mean()) if len(values) else math.nan
 
 
 def followed(recording: Recording) -> Row:

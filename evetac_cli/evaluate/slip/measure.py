@@ -36,13 +36,12 @@ from evetac_cli.commands.columns import columns_of
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError, made_by
 from evetac_cli.evaluate.common import picture
+from evetac_cli.evaluate.common.marks import LABELS, TRUTH, Source
 from evetac_cli.evaluate.common.report import ModelsReportJob, report, report_job
-from evetac_cli.evaluate.common.source import LABELS, TRUTH, Source
-from evetac_cli.evaluate.slip import EvaluateSlip
+from evetac_cli.evaluate.slip import PAPER, EvaluateSlip
 from evetac_cli.evaluate.slip import models as slip_models
 from evetac_cli.evaluate.slip import warnings as slip_warnings
 from evetac_cli.evaluate.slip.models import AT_ONCE, Model, check, predict_all
-from evetac_cli.evaluate.slip.paper import PAPER
 from evetac_cli.evaluate.slip.tables import tables
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels.slip import metrics

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
+from evetac_cli.evaluate.common.marks import TRUTH
 from evetac_cli.evaluate.common.rows import ends, mean, quantile, resampled, sd
-from evetac_cli.evaluate.common.source import TRUTH
+from evetac_cli.evaluate.slip import PAPER
 from evetac_cli.evaluate.slip import warnings as slip_warnings
 from evetac_cli.evaluate.slip.models import Model
-from evetac_cli.evaluate.slip.paper import PAPER
 from evetac_cli.evaluate.slip.warnings import Judged
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels import estimates

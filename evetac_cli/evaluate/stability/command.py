@@ -1,7 +1,7 @@
 """evaluate stability: whether a part stays within stated bounds in stiff and extreme cases.
 
 Every part is a function `(seed, full) -> cases`. A case is a function that runs it and returns its rows: one per
-measured quantity, with the bound and its reason (bounds.py). Cases that are refused with an error message are counted
+measured quantity, with the bound and its reason (cases.py). Cases that are refused with an error message are counted
 separately from cases that were measured and are within their bounds.
 """
 

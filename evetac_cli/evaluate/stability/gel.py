@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 
 from evetac_cli.arrays import Floats
-from evetac_cli.evaluate.stability.bounds import (
+from evetac_cli.evaluate.stability.cases import (
     BALANCE,
     ENERGY,
     ONSET,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from evetac_cli.devices import Rig
 from evetac_cli.devices.simulated import SimulatedGripper
 from evetac_cli.errors import DeviceError, EvetacError
-from evetac_cli.evaluate.cost.short_grasps import (
+from evetac_cli.evaluate.cost.grasp import (
     CONTROLLERS,
     FixedDetector,
     GraspResult,
@@ -25,19 +25,22 @@ from evetac_cli.evaluate.cost.short_grasps import (
     WrappedDetector,
     run_short_grasp,
 )
-from evetac_cli.evaluate.stability.bounds import (
+from evetac_cli.evaluate.stability.cases import (
     CURRENT,
     FINITE,
     GOAL,
     HELD,
     LET_GO,
+    LIFTS,
+    MORE_LIFTS,
     MOVED,
     SWING,
+    Tables,
     case_rows,
     in_nodes,
+    merge,
     run_case,
 )
-from evetac_cli.evaluate.stability.extreme_scenes import LIFTS, MORE_LIFTS, Tables, merge
 from evetac_cli.events import Events
 from evetac_cli.jobs import Rows
 from evetac_cli.kernels.grip import paper
@@ -47,7 +50,6 @@ from evetac_cli.sim.setup.sensor import SensorGripper
 from evetac_cli.store.recordings import slip_grid
 from evetac_cli.trials.grasp.loop import SliceDetector
 
-QUICK_CONTROLLERS = ("paper", "load-proportional")
 BALANCE_S = 2.0
 SETTLED_MS = 500  # at the end, in which the fingers must be at rest
 USUAL_OBJECT = 11
@@ -147,10 +149,9 @@ def _together(mass_g: float, friction: float, stiffness: float, plan: Plan) -> P
 
 def cases(seed: int, full: bool) -> list[Callable[[], Rows]]:
     """Return every case with every controller; only the paper's controller has a gain."""
-    controllers = CONTROLLERS if full else QUICK_CONTROLLERS
     return [
         partial(grasp_rows, case, controller, seed)
-        for controller in controllers
+        for controller in CONTROLLERS.pick(full)
         for case in extreme_cases(full=full)
         if not (case.paper_only and controller == "load-proportional")
     ]

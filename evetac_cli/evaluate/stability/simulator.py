@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from evetac_cli.evaluate.common.rows import Extent
-from evetac_cli.evaluate.stability.bounds import (
+from evetac_cli.evaluate.stability.cases import (
     EVENTS,
     FINITE,
     ORDER,

@@ -18,15 +18,17 @@ from numpy.typing import NDArray
 from evetac_cli.arrays import Floats
 from evetac_cli.evaluate.common.rows import Extent
 from evetac_cli.evaluate.cost.tracker import DOTS_PX, rim_events
-from evetac_cli.evaluate.stability.bounds import (
+from evetac_cli.evaluate.stability.cases import (
     P99_DOT,
     SAME_DOTS,
+    SLIP_SOON,
+    SLIPS,
     WORST_DOT,
     case_rows,
     in_nodes,
+    merge,
     run_case,
 )
-from evetac_cli.evaluate.stability.extreme_scenes import SLIP_SOON, SLIPS, merge
 from evetac_cli.events import FRAME_PX
 from evetac_cli.jobs import Rows
 from evetac_cli.kernels.tracking import tracker

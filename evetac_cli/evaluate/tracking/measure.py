@@ -2,7 +2,7 @@
 
 A trajectory that begins and ends with nothing on the gel is tracked successfully if all dots end within 20 px of their
 start. This is the paper's end-point consistency, which needs no truth. For simulations, whose true dots are known, the
-distance from truth is reported too, and plotted over time. A simulated trajectory that ends with the gel still sheared
+distance from truth is reported too. A simulated trajectory that ends with the gel still sheared
 has no consistency. Tracks of the same recordings by several presets are compared row by row.
 
 The preset `stable` puts lost dots back at rest, which would make its end points consistent by itself. So the columns
@@ -22,12 +22,9 @@ from numpy.typing import NDArray
 from evetac_cli.arrays import Floats
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.report import report, report_job
 from evetac_cli.evaluate.common.rows import each, mean
-from evetac_cli.evaluate.common.source import Source
-from evetac_cli.evaluate.tracking import EvaluateTracking
-from evetac_cli.evaluate.tracking.paper import PAPER
+from evetac_cli.evaluate.tracking import PAPER, EvaluateTracking
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.stages import row_blocks
 from evetac_cli.stages.related_files import OTHER_FOLDER, Origins, check_made_from
@@ -39,8 +36,6 @@ METHOD = 8
 DOTS, TRUE_DOTS = "dot_xy_px", "truth/dot_xy_px"
 CONSISTENT_PX = 20.0  # as in the paper
 ROUNDING_PX = 0.1  # margin for positions stored as float32
-BIN_MS = 20  # of the plot's time axis
-LEAST_PX = 1e-3  # smallest error in the plot
 
 
 def jobs(files: list[Path], params: EvaluateTracking, out: Path | None) -> list[Job]:
@@ -66,15 +61,12 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
                 truth_count += truth is not None
             headers.append(tracks.header)
     names = _preset_names([header["parameters"] for header in headers])
-    over_time: dict[str, list[Floats]] = {}
 
     def measure() -> tuple[Rows, dict[str, Any]]:
         rows: Rows = []
         for path, name in zip(each(job.inputs, progress), names, strict=True):
             with StageFile(path, "tracks") as tracks, _truth(tracks, params.recordings) as truth:
-                row, squares = _trajectory(tracks, truth)
-            rows.append({"file": path.name, "preset": name, **row})
-            over_time.setdefault(name, []).extend([squares] if squares is not None else [])
+                rows.append({"file": path.name, "preset": name, **_trajectory(tracks, truth)})
         presets = [_preset(name, [row for row in rows if row["preset"] == name]) for name in dict.fromkeys(names)]
         summary = {
             "trajectories": len(rows),
@@ -87,14 +79,7 @@ def run(job: Job, params: EvaluateTracking, *, force: bool = False, progress: Pr
 
     # A report that has the truth of more or fewer recordings is a different report.
     parameters = {**recipe_of(params), "with_truth": truth_count}
-    outcome = report(job, "evaluate tracking", METHOD, parameters, headers, measure, force=force)
-    if not outcome.made:  # errors over time are not stored in rows: plot them only when measured
-        return outcome
-
-    def draw(figure: Any) -> None:
-        _draw(figure, outcome.rows, over_time, Source.of(headers))
-
-    return picture.beside(outcome, job.output, draw, (6.2 * sum(_panels(outcome.rows, over_time)), 4.2))
+    return report(job, "evaluate tracking", METHOD, parameters, headers, measure, force=force)
 
 
 def for_people(rows: Rows, params: EvaluateTracking) -> tuple[Rows, list[str]]:
@@ -166,8 +151,8 @@ def _preset_names(parameters: list[dict[str, Any]]) -> list[str]:
     return names
 
 
-def _trajectory(tracks: StageFile, truth: Recording | None) -> tuple[dict[str, Any], Floats | None]:
-    """Return the row of a trajectory, and the mean squared error of its dots over time, if truth is known."""
+def _trajectory(tracks: StageFile, truth: Recording | None) -> dict[str, Any]:
+    """Return the row of a trajectory."""
     rest = tracks.read("sensor/dot_xy_px").reshape(-1, 2)
     present = np.isfinite(rest).all(axis=1)
     rest, slices = rest[present], tracks.length(DOTS)
@@ -189,7 +174,7 @@ def _trajectory(tracks: StageFile, truth: Recording | None) -> tuple[dict[str, A
         slip_grid.COLUMN: None if truth is None else slip_grid.nodes_of(truth),
     }
     if truth is None:
-        return row, None
+        return row
     still_px = np.linalg.norm(rest - truth.read(TRUE_DOTS, slices - 1)[0, present], axis=1)
     if (still_px > CONSISTENT_PX).any():
         row |= dict.fromkeys(("consistent", "dots_lost", "consistent_before_reset", "dots_lost_before_reset"))
@@ -201,13 +186,11 @@ def _trajectory(tracks: StageFile, truth: Recording | None) -> tuple[dict[str, A
         squares[first:stop] = np.mean(error**2, axis=1)
         still_squares[first:stop] = np.mean(still**2, axis=1)
         worst_px = max(worst_px, float(error.max()))
-    row |= {
+    return row | {
         "error_px_rms": float(np.sqrt(squares.mean())),
         "error_px_worst": worst_px,
         "still_px_rms": float(np.sqrt(still_squares.mean())),
     }
-    edges = np.arange(0, slices, BIN_MS)
-    return row, np.add.reduceat(squares, edges) / np.diff(np.append(edges, slices))
 
 
 def _before_reset(tracks: StageFile, rest: Floats, present: NDArray[np.bool_]) -> tuple[int, Floats]:
@@ -280,61 +263,6 @@ def _preset(name: str, rows: Rows) -> dict[str, Any]:
         "events_per_dot": mean(row["events_per_dot"] for row in rows),
         **_lengths(rows),
     }
-
-
-def _draw(figure: Any, rows: Rows, over_time: dict[str, list[Floats]], source: Source) -> None:
-    """Plot error over time by preset where truth is known, and the shares of consistent trajectories, if any."""
-    with_truth, decided = _panels(rows, over_time)
-    figure.suptitle("Dots tracked" + (" (simulated)" if source.simulated else ""))
-    panels = list(figure.subplots(1, with_truth + decided, squeeze=False)[0])
-    if with_truth:
-        for number, (name, errors) in enumerate(over_time.items()):
-            if errors:
-                _draw_errors(panels[0], errors, name, picture.COLOURS[number % len(picture.COLOURS)])
-        panels[0].set(xlabel="time [s]", ylabel="distance from the true dots, rms [px]")
-        picture.log_axis(panels[0].yaxis)
-    if decided:
-        _draw_consistent(panels[-1], rows, source)
-    picture.legend(figure, panels)
-
-
-def _panels(rows: Rows, over_time: dict[str, list[Floats]]) -> tuple[bool, bool]:
-    """Return which panels there are: errors over time, consistent shares."""
-    return any(over_time.values()), any(row.get("consistent_share") is not None for row in rows)
-
-
-def _draw_errors(axes: Any, errors: list[Floats], name: str, colour: str) -> None:
-    """Plot the error over all trajectories, which may differ in length, and the range of most of them."""
-    padded = np.full((len(errors), max(map(len, errors))), np.nan)
-    for line, squares in zip(padded, errors, strict=True):
-        line[: len(squares)] = squares
-    seconds = (np.arange(padded.shape[1]) + 0.5) * BIN_MS * 1e-3
-    lowest = LEAST_PX**2  # an error of 0 has no position on a logarithmic axis
-    label = f"{name}, n = {len(errors)}"
-    axes.plot(seconds, np.sqrt(np.maximum(np.nanmean(padded, axis=0), lowest)), color=colour, label=label)
-    if len(errors) > 1:
-        low, high = np.sqrt(np.maximum(np.nanpercentile(padded, (10, 90), axis=0), lowest))
-        axes.fill_between(seconds, low, high, color=colour, alpha=0.15, linewidth=0)
-        axes.set_title("bands: 10 to 90 % of the trajectories")
-
-
-def _draw_consistent(axes: Any, rows: Rows, source: Source) -> None:
-    """Plot the consistent share of each preset with its interval by number of trajectories, and the paper's."""
-    presets = [row for row in rows if "file" not in row]
-    for place, row in enumerate(presets):
-        if count := row["decided"]:
-            share, colour = row["consistent_share"], picture.COLOURS[place % len(picture.COLOURS)]
-            label = "95 % interval by the number of trajectories (Wilson)"
-            axes.errorbar(share, place, xerr=picture.wilson(share, count), label=label, **picture.INTERVAL)
-            axes.plot(share, place, "o", color=colour, markersize=8)
-        if beside := PAPER.beside("paper_consistent_share", row, source):
-            axes.plot(beside.value, place - 0.2, **picture.of_paper(beside.mark))
-    picture.share_axis(axes.xaxis)
-    axes.set(xlabel=f"share of trajectories that end within {CONSISTENT_PX:g} px", ylim=(len(presets) - 0.5, -0.5))
-    axes.set_yticks(
-        range(len(presets)),
-        [f"{picture.plain(row['preset'])}\nn = {row['decided']} of {row['trajectories']}" for row in presets],
-    )
 
 
 STAGE = Stage(jobs, run, for_people=for_people)

@@ -19,8 +19,7 @@ from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.report import report, report_job
-from evetac_cli.evaluate.vibration import EvaluateVibration
-from evetac_cli.evaluate.vibration.paper import PAPER, WINDOWS_S
+from evetac_cli.evaluate.vibration import PAPER, WINDOWS_S, EvaluateVibration
 from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.kernels import vibration

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from evetac_cli.commands.columns import Column, columns_of, find
+from evetac_cli.evaluate import PAPER, SUBJECTS
 from evetac_cli.evaluate.subject import Subject, SubjectTable
-from evetac_cli.evaluate.subjects import PAPER, SUBJECTS
 from evetac_cli.jobs import Row
 from evetac_cli.pages import shared
 from evetac_cli.pages.report import figures
@@ -20,7 +20,7 @@ from evetac_cli.resources import PACKAGE
 
 MOST_PATHS = 20  # in a command
 MOST_ROWS = 300  # of each table except the trials
-Entries = list[tuple[Study, Found, int, Row]]
+Entries = list[tuple[Study, Found, Row]]
 STAGES = (("tracks", "track"), ("labels", "label"), ("features", "featurize"))  # in processing order
 
 
@@ -121,11 +121,11 @@ def _legend(explained: Mapping[str, str]) -> str:
 
 
 def _entries(shown: SubjectTable, of_reports: Sequence[tuple[Study, Found]]) -> Entries:
-    """Return the rows of a table, with their numbers, and where they come from."""
+    """Return the rows of a table, and where they come from."""
     return [
-        (study, evaluation, number, row)
+        (study, evaluation, row)
         for study, evaluation in of_reports
-        for number, row in enumerate(shown.rows(evaluation.rows, evaluation.summary), start=1)
+        for row in shown.rows(evaluation.rows, evaluation.summary)
     ]
 
 
@@ -147,12 +147,12 @@ def _table(
     several: bool,
 ) -> str:
     """Return a table of a subject."""
-    with_report, numbered = len(of_reports) > 1, shown.numbered
-    heads = ["study"] * several + ["report"] * with_report + ["row"] * numbered
+    with_report = len(of_reports) > 1
+    heads = ["study"] * several + ["report"] * with_report
     heads += [html.escape(column.title) for column in columns]
     rows = []
-    for study, evaluation, number, row in entries[:MOST_ROWS]:
-        cells = [cell(study.name)] * several + [cell(evaluation.path)] * with_report + [cell(number)] * numbered
+    for study, evaluation, row in entries[:MOST_ROWS]:
+        cells = [cell(study.name)] * several + [cell(evaluation.path)] * with_report
         cells += [_with_paper(column.name, row, evaluation) for column in columns]
         bad = " class='bad'" if row.get("ok") is False else ""
         rows.append(f"<tr{bad}>{''.join(cells)}</tr>")

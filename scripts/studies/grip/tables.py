@@ -13,8 +13,7 @@ import argparse
 from pathlib import Path
 
 from evetac_cli.evaluate.common import picture
-from evetac_cli.evaluate.grasp import grip_forces
-from evetac_cli.evaluate.grasp.grip_forces import CLASSES_G, firmness
+from evetac_cli.evaluate.grasp.measure import CLASSES_G, STAYED_MM, draw_forces, firmness
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels.estimates import share
 from scripts.reproduce.facts import RESULTS
@@ -56,7 +55,7 @@ def laws_table(laws: dict[str, Rows], shared: range, command: str, sizes: Row) -
         "mean over the grasp, median": "{over_holding_mean_median:.2f}",
         "peak, 95th percentile": "{over_holding_peak_p95:.2f}",
         "rank correlation of force with weight": "{force_follows_weight:.2f}",
-        f"moved less than {grip_forces.STAYED_MM:g} mm": "{stayed_share:.2f}",
+        f"moved less than {STAYED_MM:g} mm": "{stayed_share:.2f}",
         "motor work, median [J]": "{motor_work_j_median:.2f}",
         "reactions per grasp": "{reactions_mean:.1f}",
         "of these false": "{false_share:.2f}",
@@ -90,7 +89,7 @@ def draw(laws: dict[str, Rows], path: Path) -> None:
     """Draw grip force against weight for the first SHOWN grasps of each law."""
     held = [[row for row in rows[:SHOWN] if row["over_holding_end"] is not None] for rows in laws.values()]
     settings = [(number, law, rows) for number, (law, rows) in enumerate(zip(laws, held, strict=True)) if rows]
-    picture.write(path, lambda figure: grip_forces.draw(figure, settings), (7.5, 5.0))
+    picture.write(path, lambda figure: draw_forces(figure, settings), (7.5, 5.0))
 
 
 def main() -> None:

@@ -34,7 +34,7 @@ import numpy as np
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.devices import Rig
 from evetac_cli.devices.simulated import SimulatedGripper, rig
-from evetac_cli.evaluate.grasp.grip_forces import firmness
+from evetac_cli.evaluate.grasp.measure import firmness
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels.grip.control import Control, uses_detector
 from evetac_cli.resources import SHIPPED

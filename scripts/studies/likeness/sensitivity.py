@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evetac_cli.evaluate.likeness.counts import Slip, judge
+from evetac_cli.evaluate.likeness.measures import Slip, judge
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.slip.metrics import EARLIEST_MS, LATEST_MS
 from evetac_cli.sim.setup.plan import Plan

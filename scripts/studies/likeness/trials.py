@@ -19,8 +19,16 @@ import numpy as np
 
 from evetac_cli.commands.record import Record
 from evetac_cli.evaluate.cost.pipeline import timed
-from evetac_cli.evaluate.likeness.counts import HELD_UNTIL_MS, SliceCounts, about_slip, count, rate, slip
-from evetac_cli.evaluate.likeness.measures import shares, slipping_ms
+from evetac_cli.evaluate.likeness.measures import (
+    HELD_UNTIL_MS,
+    SliceCounts,
+    about_slip,
+    count,
+    rate,
+    shares,
+    slip,
+    slipping_ms,
+)
 from evetac_cli.jobs import Row, silent
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.store.recordings.read import Recording, open_recording

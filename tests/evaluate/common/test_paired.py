@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from evetac_cli.evaluate.common.rows import difference, on_front, share_difference
+from evetac_cli.evaluate.common.rows import difference, share_difference
 
 
 def array(*values: float) -> np.ndarray:
@@ -44,20 +44,6 @@ def test_intervals_hold_what_they_promise() -> None:
         apart = difference(rng.normal(0.7, 2.0, 5), np.zeros(5))
         held += apart.low <= 0.7 <= apart.high
     assert held / 2000 == pytest.approx(0.95, abs=0.015)
-
-
-def test_only_what_is_sure_is_on_the_front() -> None:
-    """Assert that a row is on the front only if every other one is surely slower or surely worse."""
-    good = array(1.0, 1.1, 0.9, 1.0)
-    exact_slow, coarse_fast, coarse_slow = (good, 10 + good), (10 + good, good), (20 + good, 20 + good)
-    errors, times = zip(exact_slow, coarse_fast, coarse_slow, strict=True)
-    assert on_front(errors, times) == [True, True, False]
-    noise = array(0.5, -0.5, 0.4, -0.4)
-    like_the_first = (good + noise, 10 + good - noise)
-    errors, times = zip(exact_slow, coarse_fast, like_the_first, strict=True)
-    assert on_front(errors, times) == [False, True, False]
-    assert on_front(errors[:1], times[:1]) == [True]
-    assert on_front([error[:1] for error in errors], [time[:1] for time in times]) == [False] * 3
 
 
 def test_the_interval_of_a_difference_of_shares_holds_what_it_promises() -> None:

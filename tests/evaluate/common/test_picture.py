@@ -4,15 +4,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from evetac_cli.evaluate.common import picture
-from evetac_cli.evaluate.common.source import Source
+from evetac_cli.evaluate.common.marks import Source
 from evetac_cli.evaluate.grasp import measure as grasp
 from evetac_cli.evaluate.slip import measure as slip
 from evetac_cli.evaluate.slip import warnings as slip_warnings
-from evetac_cli.evaluate.tracking import measure as tracking
 from evetac_cli.jobs import Outcome
 
 matplotlib = pytest.importorskip("matplotlib")
@@ -52,33 +50,6 @@ def faults(figure: Any) -> list[str]:
         wrong += [f"beyond the edge: {text.get_text()}"] if text.get_text() and not inside else []
         wrong += [f"under a legend: {text.get_text()}" for legend in boxes if text.get_text() and box.overlaps(legend)]
     return wrong
-
-
-@pytest.mark.parametrize(("share", "count"), [(1.0, 1), (0.0, 1), (1.0, 100), (0.0, 100), (0.5, 2), (0.93, 110)])
-def test_an_interval_of_a_share_stays_within_0_and_1(share: float, count: int) -> None:
-    """Assert that also where all or none succeed, it holds the share, and that it has a length."""
-    (below,), (above,) = picture.wilson(share, count)
-    assert below >= 0 and above >= 0 and 0 <= share - below < share + above <= 1
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "labels"),
-    [
-        (12.0, 18.0, ["10", "20"]),
-        (40.0, 700.0, ["50", "100", "200", "500"]),
-        (0.003, 4.0, ["0.01", "0.1", "1"]),
-        (2e4, 3e7, ["100,000", "$10^{6}$", "$10^{7}$"]),
-    ],
-)
-def test_ticks_of_a_logarithmic_axis_are_written_out(low: float, high: float, labels: list[str]) -> None:
-    """Assert the labels, that the data are seen, and that no others stand between them."""
-    axes = Figure(layout="constrained").subplots()
-    axes.plot([low, high], [1, 2])
-    picture.log_axis(axes.xaxis)
-    assert [label.get_text() for label in axes.get_xticklabels()] == labels
-    assert not any(label.get_text() for label in axes.get_xticklabels(minor=True))
-    left, right = axes.get_xlim()
-    assert left <= low < high <= right
 
 
 def slip_outcome(settings: int, objects: int, *, published: bool) -> Outcome:
@@ -141,53 +112,12 @@ def test_the_picture_of_slip(settings: int, objects: int, *, published: bool) ->
     assert warned.get_ydata()[2] == pytest.approx(0.7)
 
 
-def grasp_rows(settings: int, objects: tuple[int, ...], trials: int, *, held: bool) -> list[dict[str, Any]]:
-    """Rows of trials as evaluate grasp has them."""
-    figures = {"opening_after_balance_ticks": -7.0, "force_end_n": 2.0, "moved_mm": 0.4}
-    figures |= dict.fromkeys((*grasp.MEANS, "moved_lift_mm", "motor_work_j"), 0.1) | figures
-    figures |= {"slip_events": 3, "false_slip_events": 1, "carried_g": 100.0, "holding_end_n": 1.0}
-    figures |= {f"over_holding_{name}": 2.0 for name in ("end", "mean", "peak")}
-    return [
-        {"setting": f"fixed:{n}" if n else "paper", "object": number, "file": f"{n}-{number}-{trial}", "lifted": held,
-         "balanced": held, "failure": "" if held else "fell in the lift", **figures}
-        for n in range(settings) for number in objects for trial in range(trials)
-    ]  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("settings", "objects", "trials", "held"),
-    [
-        (1, (17,), 1, False),
-        pytest.param(1, (11,), 1, True, marks=pytest.mark.slow),
-        pytest.param(12, tuple(range(10, 21)), 10, True, marks=pytest.mark.slow),
-    ],
-)
-def test_the_picture_of_grasps(settings: int, objects: tuple[int, ...], trials: int, held: bool) -> None:
-    """Assert that nothing is covered, and that where no object was held the panels say so instead of showing 0."""
-    rows, _ = grasp.tables(grasp_rows(settings, objects, trials, held=held))
-    figure = drawn(lambda figure: grasp._draw(figure, rows, SOURCE), grasp._size_in(rows, SOURCE))
-    assert faults(figure) == []
-    predicted = [text.get_text() for axes in figure.axes for text in axes.texts]
-    assert predicted == ([] if held else 3 * ["no object was held"])
-
-
-@pytest.mark.parametrize("presets", [1, pytest.param(4, marks=pytest.mark.slow)])
-def test_the_picture_of_tracking(presets: int) -> None:
-    """Assert that a preset whose consistency is not known is not drawn as 0."""
-    names = ["paper", "stable", "official", "unregularised"][:presets]
-    trials = [{"preset": name, "file": "a", "consistent": None if name == "stable" else True} for name in names]
-    rows = [
-        {"preset": name, "trajectories": 1, "decided": int(name != "stable"),
-         "consistent_share": None if name == "stable" else 1.0,
-         "paper_consistent_share": 0.8 if name == "paper" else None}
-        for name in names
-    ] + trials  # fmt: skip
-    over_time = {name: [np.full(20, 0.04), np.full(30, 0.09)] for name in names}
-    figure = drawn(lambda figure: tracking._draw(figure, rows, over_time, SOURCE), (12.4, 4.2))
-    assert faults(figure) == []
-    assert len(figure.axes[1].lines) == 3 * len([name for name in names if name != "stable"]) + 1
-    labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-    assert "the paper, real sensor (fitted)" in labels
+@pytest.mark.parametrize("laws", [1, 8])
+def test_the_picture_of_grasps(laws: int) -> None:
+    """Assert that nothing is covered, whether one grasp or many are drawn."""
+    trials = [{"carried_g": 50.0 * n, "holding_end_n": 0.5 * n, "force_end_n": 0.9 * n} for n in range(1, laws + 1)]
+    settings = [(number, f"fixed:{number}", trials) for number in range(laws)]
+    assert faults(drawn(lambda figure: grasp.draw_forces(figure, settings), (7.5, 5.0))) == []
 
 
 SETTINGS = {"text.usetex": True, "savefig.facecolor": "red", "axes.facecolor": "red", "savefig.bbox": "tight"}

@@ -10,9 +10,15 @@ from evetac_cli.errors import InputError
 from evetac_cli.evaluate.common.rows import Extent
 from evetac_cli.evaluate.cost import EvaluateCost, command
 from evetac_cli.evaluate.cost import grasp as cost
-from evetac_cli.evaluate.cost import short_grasps as trials
-from evetac_cli.evaluate.cost.short_grasps import GraspResult, ShortGrasp
+from evetac_cli.evaluate.cost.grasp import (
+    FixedDetector,
+    GraspResult,
+    ShortGrasp,
+    run_short_grasp,
+)
 from evetac_cli.inspect import validate
+from evetac_cli.kernels.grip.control import SlipSignal
+from tests.evaluate.conftest import CountingDetector
 
 
 def test_cost_of_a_late_detector(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -54,7 +60,7 @@ def test_a_real_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ]
     assert rows["none, 500 Hz, no latency"]["error_share_lost"] == 1.0
     assert rows["load-proportional, 500 Hz, no latency"]["error_share_lost"] == 0.0
-    assert 0 < rows["load-proportional, detector truth"]["error_mm_moved"] < trials.LOST_MM
+    assert 0 < rows["load-proportional, detector truth"]["error_mm_moved"] < cost.LOST_MM
     assert all(0 < row["time_us_median"] <= row["time_us_p99"] for row in outcome.rows)
     assert outcome.summary.items() >= {"settings": 4, "trials": 4}.items()
     assert [row["faults"] for row in validate.run([job.output]).rows] == [None]
@@ -73,3 +79,28 @@ def test_detectors_to_compare_with(tmp_path: Path) -> None:
     assert [setting.name for setting in cost.settings(False, models)][-2:] == ["detector a", "detector b"]
     with pytest.raises(InputError):
         cost.inputs([tmp_path / "x.features.h5"], None)
+
+
+def test_a_short_grasp(short: GraspResult) -> None:
+    """Assert that it lifts, that the rows are those of a recording, and that every slice was timed."""
+    assert short.rows["truth/table_gap_mm"][-1] > 5.0
+    assert len(short.detector_us) == len(short.rows["truth/table_gap_mm"]) == 1500 + 1000 + 100
+    assert (short.detector_us > 0).all()
+    assert "events/t" not in short.rows
+
+
+def test_a_lost_object_ends_it() -> None:
+    """Assert that a grasp ends soon after the hand has left its object behind."""
+    result = run_short_grasp(ShortGrasp(11, "none", balance_s=30.0), 3)
+    moved_mm = np.hypot(*result.rows["truth/object_xy_px"].T) * 0.0329
+    assert 20.0 < moved_mm[-1] < 30.0
+    assert len(moved_mm) < 5000
+    assert not result.figures["lifted"]
+
+
+@pytest.mark.parametrize("slip", [True, False])
+def test_a_fixed_detector(slip: bool) -> None:
+    """Assert that its decision is the one given, and its displacements are the detector's own."""
+    detector = FixedDetector(CountingDetector(), lambda: slip)
+    assert [detector.step(None) for _ in range(3)] == [float(slip)] * 3
+    assert detector.signal == SlipSignal(3 * slip, mean_displacement_x_px=1.5)

@@ -36,4 +36,3 @@ def test_errors_fall_with_the_step() -> None:
     assert 0 < onset_ms(finest.slid_px) < 200
     assert abs(fine[0]) < abs(coarse[0]) / 3
     assert fine[1] < coarse[1] / 3
-    assert fine[2] < coarse[2] / 3

@@ -53,12 +53,6 @@ def labels_file(recording: Path, onset: int, *, of: Path | None = None, doubt: s
     write_stage(path, Recipe("labels", 1, {}, parents=(header,)), arrays, force=True)
 
 
-@pytest.fixture(autouse=True)
-def no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No pictures: they take longest."""
-    monkeypatch.setattr(data_rate.picture, "beside", lambda outcome, *_: outcome)
-
-
 def evaluated(*files: Path, **values: Any) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Rows of recordings, and of intervals."""
     params = EvaluateDataRate(**values)

@@ -6,6 +6,7 @@ from collections import Counter
 import pytest
 
 from evetac_cli import resources
+from evetac_cli.evaluate import PAPER
 from evetac_cli.evaluate.likeness.facts import (
     FIT,
     NEAR,
@@ -18,7 +19,6 @@ from evetac_cli.evaluate.likeness.facts import (
     constant_of,
     facts,
 )
-from evetac_cli.evaluate.subjects import PAPER
 
 
 def fact(**what: object) -> Fact:

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from evetac_cli.evaluate.stability import gel as gel_stability
-from evetac_cli.evaluate.stability.bounds import BALANCE, ENERGY, ONSET, RESOLVED
+from evetac_cli.evaluate.stability.cases import BALANCE, ENERGY, ONSET, RESOLVED
 from evetac_cli.evaluate.stability.gel import (
     WEIGHT_ON_S,
     GelCase,

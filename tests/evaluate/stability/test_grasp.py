@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from evetac_cli.devices.simulated import SimulatedGripper
-from evetac_cli.evaluate.cost.short_grasps import GraspResult
-from evetac_cli.evaluate.stability import EvaluateStability, bounds, command
+from evetac_cli.evaluate.cost.grasp import CONTROLLERS, GraspResult
+from evetac_cli.evaluate.stability import EvaluateStability, command
+from evetac_cli.evaluate.stability import cases as stability_cases
 from evetac_cli.evaluate.stability import grasp as stability
 from evetac_cli.evaluate.stability.grasp import (
     DyingDetector,
@@ -41,47 +42,52 @@ def test_what_is_not_ok(short: GraspResult) -> None:
     swings = still["gripper/position_ticks"].copy()
     swings[::2] += 9
     for path, value, quantity in (
-        ("truth/normal_force_n", np.full(2600, np.nan), bounds.FINITE),
-        ("control/goal_ticks", np.full(1300, 741), bounds.GOAL),
-        ("control/goal_ticks", np.full(1300, -1), bounds.GOAL),
-        ("gripper/current_ma", np.full(1300, 700.0), bounds.CURRENT),
-        ("gripper/position_ticks", swings, bounds.SWING),
+        ("truth/normal_force_n", np.full(2600, np.nan), stability_cases.FINITE),
+        ("control/goal_ticks", np.full(1300, 741), stability_cases.GOAL),
+        ("control/goal_ticks", np.full(1300, -1), stability_cases.GOAL),
+        ("gripper/current_ma", np.full(1300, 700.0), stability_cases.CURRENT),
+        ("gripper/position_ticks", swings, stability_cases.SWING),
     ):
         wrong = replace(held, rows={**still, path: value})
         assert not_ok(stability.check("wrong", "paper", wrong)) == [quantity.quantity]
     for figures, wanted in (
-        ({"balanced": False}, [bounds.HELD.quantity]),
-        ({"moved_mm": 10.5}, [bounds.MOVED.quantity]),
-        ({"lifted": False, "balanced": False, "moved_mm": 25.5}, [bounds.HELD.quantity, bounds.MOVED.quantity]),
+        ({"balanced": False}, [stability_cases.HELD.quantity]),
+        ({"moved_mm": 10.5}, [stability_cases.MOVED.quantity]),
+        (
+            {"lifted": False, "balanced": False, "moved_mm": 25.5},
+            [stability_cases.HELD.quantity, stability_cases.MOVED.quantity],
+        ),
     ):
         lost = replace(held, figures={**held.figures, **figures})
         assert not_ok(stability.check("lost", "paper", lost)) == wanted
     swinging = replace(held, figures={**held.figures, "balanced": False}, rows=wrong.rows)
     rows = stability.check("lost", "paper", swinging)
-    assert bounds.SWING.quantity not in [row["quantity"] for row in rows]  # fingers that lost their object may close
+    assert stability_cases.SWING.quantity not in [
+        row["quantity"] for row in rows
+    ]  # fingers that lost their object may close
     assert rows[0]["outcome"].startswith("lost in balance, with ")
 
 
 def test_the_limit_is_that_of_the_servo() -> None:
     """Assert that the bound of the current is the limit that is set in the servo."""
-    assert Drive.current_limit_ma == bounds.CURRENT.most
+    assert Drive.current_limit_ma == stability_cases.CURRENT.most
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("controller", stability.QUICK_CONTROLLERS)
+@pytest.mark.parametrize("controller", CONTROLLERS.pick(full=False))
 def test_a_fault_in_the_controller_is_seen(controller: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that goals of a real short grasp are in range, and not once the controller gives goals beyond it."""
-    assert bounds.GOAL.quantity not in not_ok(grasp_rows(GraspCase("as usual", timing=SHORT), controller, 0))
+    assert stability_cases.GOAL.quantity not in not_ok(grasp_rows(GraspCase("as usual", timing=SHORT), controller, 0))
     real = Control.step
     monkeypatch.setattr(Control, "step", lambda *given: real(*given) + 2000)
-    assert bounds.GOAL.quantity in not_ok(grasp_rows(GraspCase("as usual", timing=SHORT), controller, 0))
+    assert stability_cases.GOAL.quantity in not_ok(grasp_rows(GraspCase("as usual", timing=SHORT), controller, 0))
 
 
 def test_a_grasp_that_breaks_off_lets_go(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a detector that dies ends the grasp without current, in words, and that one left pressing is seen."""
     case = GraspCase("dies", wrap_detector=lambda detector, rng: DyingDetector(detector, 50), timing=SHORT)
     (row,) = grasp_rows(case, "paper", 0)
-    assert (row["quantity"], row["value"], row["ok"]) == (bounds.LET_GO.quantity, 0.0, True)
+    assert (row["quantity"], row["value"], row["ok"]) == (stability_cases.LET_GO.quantity, 0.0, True)
     assert row["outcome"] == "let go: the detector died"
     monkeypatch.setattr(SimulatedGripper, "close", lambda self: None)
     (row,) = grasp_rows(case, "paper", 0)
@@ -106,8 +112,8 @@ def test_the_report(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
     chosen = EvaluateStability(part="grasp")
     outcome = command.run(Job((), tmp_path / "a.report.h5"), chosen)
     assert {(row["controller"], row["case"]) for row in outcome.rows} == {
-        (controller, "as usual") for controller in stability.QUICK_CONTROLLERS
+        (controller, "as usual") for controller in CONTROLLERS.pick(full=False)
     }
-    assert outcome.rows[0]["quantity"] == bounds.HELD.quantity  # the hand rises by far less than 50 mm
+    assert outcome.rows[0]["quantity"] == stability_cases.HELD.quantity  # the hand rises by far less than 50 mm
     assert outcome.summary["cases"] == 2
     assert outcome.summary["not_ok_by_controller"] == "paper 1 of 1, load-proportional 1 of 1"

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from evetac_cli.evaluate.common.rows import Extent
-from evetac_cli.evaluate.stability import bounds
+from evetac_cli.evaluate.stability import cases as stability_cases
 from evetac_cli.evaluate.stability import gel as gel_stability
 from evetac_cli.evaluate.stability import simulator as simulator_stability
-from evetac_cli.evaluate.stability.bounds import EVENTS, FINITE, ORDER
+from evetac_cli.evaluate.stability.cases import EVENTS, FINITE, ORDER
 from evetac_cli.evaluate.stability.gel import onset_cases
 from evetac_cli.evaluate.stability.simulator import (
     CameraCase,
@@ -27,11 +27,13 @@ def test_the_suite_holds_all_that_it_should(monkeypatch):
     """Assert that the extremes which the physics names are among the cases, and that nothing has two names."""
     monkeypatch.setattr(simulator_stability, "GEL_STEPS", Extent(2, 2))
     monkeypatch.setattr(simulator_stability, "CAMERA_SLICES", 1)
-    monkeypatch.setattr(gel_stability, "onset_error", lambda *given: ([(bounds.ONSET, 0.0)], "not tried"))
+    monkeypatch.setattr(gel_stability, "onset_error", lambda *given: ([(stability_cases.ONSET, 0.0)], "not tried"))
     cases = [run() for run in simulator_stability.cases(0, False)]
     assert all(row["ok"] for rows in cases for row in rows)
     assert {row["part"] for rows in cases for row in rows} == {"gel", "gripper", "camera"}
-    assert sum(row["quantity"] == bounds.ONSET.quantity for rows in cases for row in rows) == len(onset_cases())
+    assert sum(row["quantity"] == stability_cases.ONSET.quantity for rows in cases for row in rows) == len(
+        onset_cases()
+    )
     names = [rows[0]["case"] for rows in cases]
     assert len(names) == len(set(names))
 
@@ -47,9 +49,9 @@ def test_extremes_of_the_gripper(case):
 @pytest.mark.parametrize(
     ("speeds", "force_n", "quantity", "value"),
     [
-        ([1e-3, -1e-3] * 5, 1.0, bounds.TURNS.quantity, 9.0),
-        ([1e-3] * 9 + [math.nan], 1.0, bounds.FINITE.quantity, 1.0),
-        ([0.0] * 10, 24.0 + 2 * 3.87, bounds.SURPLUS.quantity, (3.87 - 0.03 * 31.74) / (3.87 + 0.03 * 31.74)),
+        ([1e-3, -1e-3] * 5, 1.0, stability_cases.TURNS.quantity, 9.0),
+        ([1e-3] * 9 + [math.nan], 1.0, stability_cases.FINITE.quantity, 1.0),
+        ([0.0] * 10, 24.0 + 2 * 3.87, stability_cases.SURPLUS.quantity, (3.87 - 0.03 * 31.74) / (3.87 + 0.03 * 31.74)),
     ],
 )
 def test_a_finger_gone_wrong_is_seen(monkeypatch, speeds, force_n, quantity, value):

@@ -5,7 +5,7 @@ import pytest
 
 from evetac_cli.evaluate.cost.tracker import DOTS_PX
 from evetac_cli.evaluate.stability import tracker as stability
-from evetac_cli.evaluate.stability.bounds import P99_DOT, SAME_DOTS, WORST_DOT
+from evetac_cli.evaluate.stability.cases import P99_DOT, SAME_DOTS, WORST_DOT
 from evetac_cli.evaluate.stability.tracker import duplicated_rows, extreme_cases, scene_rows, track_rows
 from evetac_cli.kernels.tracking.presets import PRESETS
 

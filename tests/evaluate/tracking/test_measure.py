@@ -1,4 +1,4 @@
-"""The stage evaluate tracking: presets side by side, end-point consistency with and without truth, the picture."""
+"""The stage evaluate tracking: presets side by side, end-point consistency with and without truth."""
 
 import shutil
 from pathlib import Path

@@ -12,7 +12,7 @@ from evetac_cli import resources
 from evetac_cli.commands import EVERY
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.train_force import TrainForce
-from evetac_cli.evaluate.subjects import SUBJECTS
+from evetac_cli.evaluate import SUBJECTS
 from evetac_cli.kernels.grip.control import LAWS
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.training import ADAPT, PRESETS

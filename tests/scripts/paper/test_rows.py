@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from evetac_cli.commands.grasp import Grasp
+from evetac_cli.evaluate import PAPER
 from evetac_cli.evaluate.common import marks
-from evetac_cli.evaluate.common.source import Source
-from evetac_cli.evaluate.grasp.paper import BALANCE_S, LIFT_S
-from evetac_cli.evaluate.slip.paper import SEEDS, TRAINED_ON
-from evetac_cli.evaluate.subjects import PAPER
+from evetac_cli.evaluate.common.marks import Source
+from evetac_cli.evaluate.grasp import BALANCE_S, LIFT_S
+from evetac_cli.evaluate.slip import SEEDS, TRAINED_ON
 from scripts.paper import rows as paper_rows
 from scripts.reproduce import steps
 from scripts.reproduce.plan import EXPERIMENTS

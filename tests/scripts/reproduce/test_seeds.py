@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from evetac_cli.evaluate.subjects import PAPER
+from evetac_cli.evaluate import PAPER
 from evetac_cli.resources import PACKAGE
 from scripts.reproduce.seeds import faults, fit_faults, known, seen_by, tables
 from scripts.studies.slip import recordings

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evetac_cli.evaluate.stability.extreme_scenes import merge
+from evetac_cli.evaluate.stability.cases import merge
 from evetac_cli.sim.scenes.shared import GRAVITY_M_S2, material, pad
 from evetac_cli.sim.setup.plan import Plan, first_plan
 from tests.make import play_trial

@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from evetac_cli.commands.record import Record
-from evetac_cli.evaluate.stability.extreme_scenes import merge
-from evetac_cli.evaluate.subjects import PAPER
+from evetac_cli.evaluate import PAPER
+from evetac_cli.evaluate.stability.cases import merge
 from evetac_cli.events import concatenate
 from evetac_cli.resources import SCENES
 from evetac_cli.sim import gripper

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.evaluate.stability.extreme_scenes import merge
+from evetac_cli.evaluate.stability.cases import merge
 from evetac_cli.kernels.grip import paper as grip
 from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.scenes.pads import FINGER_STIFFNESS_N_M

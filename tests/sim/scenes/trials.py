@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from evetac_cli.evaluate.stability.extreme_scenes import merge
+from evetac_cli.evaluate.stability.cases import merge
 from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.setup.plan import Plan, first_plan
 

@@ -93,7 +93,7 @@ def test_errors_by_what_is_known(tmp_path: Path) -> None:
     identified.mkdir()
     Path(own_sensor(tmp_path, stiffer=2.0)).rename(identified / "evetac.sensor.toml")
     chosen = EvaluateForce(adapt_on=str(tmp_path / "trial[89].tracks.h5"), identified=str(identified))
-    report, outcome = run_valid(evaluate_force, [path], chosen, tmp_path / "r.report.h5")
+    _, outcome = run_valid(evaluate_force, [path], chosen, tmp_path / "r.report.h5")
     rows = {row["stiffness"]: row for row in outcome.rows}
     assert list(rows) == ["unknown", "known", "identified", "adapted", "known, adapted", "identified, adapted"]
     assert rows["identified"]["mae_n"] < 0.1
@@ -101,7 +101,6 @@ def test_errors_by_what_is_known(tmp_path: Path) -> None:
     assert rows["adapted"]["contact_right"] == rows["adapted"]["usable"] == 1.0
     assert rows["identified, adapted"]["normal_mae_n"] < rows["unknown"]["normal_mae_n"]
     assert outcome.summary["identified_sensors"] == 1
-    assert report.with_suffix(".png").stat().st_size > 10_000
     for files, wrong, message in (
         ([path], replace(chosen, identified=str(tmp_path / "none")), "no file of any"),
         ([path], replace(chosen, adapt_on=str(path)), "evaluated on"),

@@ -78,8 +78,7 @@ def test_a_linear_gel_is_told(fits: Path, tmp_path: Path) -> None:
     """
     files = [fits / "trial3.tracks.h5", fits / "rgb" / "trial3.tracks.h5"]
     chosen = EvaluateForce(model=str(fits), samples=45)
-    output, outcome = run_valid(evaluate_force, files, chosen, tmp_path)
-    assert output.with_suffix(".png").stat().st_size > 10_000
+    _, outcome = run_valid(evaluate_force, files, chosen, tmp_path)
     assert outcome.simulated
     assert [(row["sensor"], row["model"]) for row in outcome.rows] == [
         (sensor, model) for sensor in ("events", "frames") for model in ("regression", "network")

@@ -8,7 +8,7 @@ import h5py
 import pytest
 
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.common.source import Source
+from evetac_cli.evaluate.common.marks import Source
 from evetac_cli.evaluate.slip.models import Model
 from evetac_cli.inspect import validate
 from evetac_cli.resources import MODEL

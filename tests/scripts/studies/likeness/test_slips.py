@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from evetac_cli.evaluate.likeness.counts import NEVER_MS, THRESHOLDS
+from evetac_cli.evaluate.likeness.measures import NEVER_MS, THRESHOLDS
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.trials.record import simulated
 from scripts.studies.likeness import convergence, trials

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evetac_cli.evaluate.likeness.counts import NEVER_MS, THRESHOLDS, SliceCounts, about_slip, judge, slip
+from evetac_cli.evaluate.likeness.measures import NEVER_MS, THRESHOLDS, SliceCounts, about_slip, judge, slip
 
 ONSET, SLICES = 1000, 1500
 
