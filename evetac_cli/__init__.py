@@ -42,8 +42,7 @@ if TYPE_CHECKING:
     from evetac_cli.kernels.slip.architectures import Sensitivity
     from evetac_cli.kernels.touch.touch_map import TouchReading
     from evetac_cli.sim.touch_sensor import Touch, TouchSensor
-    from evetac_cli.store.recordings.read import Recording, open_recording
-    from evetac_cli.store.recordings.slip_windows import SlipWindows
+    from evetac_cli.store.recordings.read import Recording, SlipWindows, open_recording
 
 __all__ = [
     "DotTracker",
@@ -88,8 +87,7 @@ _MODULES = {
     **dict.fromkeys(("EvetacError", "InputError", "UnavailableError"), "errors"),
     **dict.fromkeys(("Touch", "TouchSensor"), "sim.touch_sensor"),
     "TouchReading": "kernels.touch.touch_map",
-    **dict.fromkeys(("Recording", "open_recording"), "store.recordings.read"),
-    "SlipWindows": "store.recordings.slip_windows",
+    **dict.fromkeys(("Recording", "SlipWindows", "open_recording"), "store.recordings.read"),
 }
 
 

@@ -6,7 +6,7 @@
         testing.check_camera("mine:7")
 
 evetac's own cameras, grippers, formats, controllers, networks and files pass the same functions. Cameras and grippers
-of plug-ins are checked in the same way while they run (devices/plugin_devices.py), networks when they are trained.
+of plug-ins are checked for what is recorded while they run (devices/plugin_devices.py), networks when they are trained.
 """
 
 import dataclasses

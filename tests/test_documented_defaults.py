@@ -30,7 +30,7 @@ from evetac_cli.stages.identify import gripper_rows
 from evetac_cli.stages.train import validating
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.read import RATE_HZ
-from evetac_cli.trials import gel_grid
+from evetac_cli.trials import trial
 from evetac_cli.trials.grasp import real_time
 from evetac_cli.trials.record import capture_plan
 
@@ -60,7 +60,7 @@ DOCUMENTED: dict[tuple[str, str], Callable[[], str]] = {
     ("trials", "theta"): lambda: f"the scene's, or {Solver.theta}",
     ("trials", "node_pitch_mm"): lambda: (
         f"the scene's, or {Solver.node_pitch_mm}; a simulated `grasp` takes the coarsest of {LIFT_PITCH_MM} to"
-        f" {gel_grid.FINEST_MM} that"
+        f" {trial.FINEST_MM} that"
     ),
     ("trials", "camera_substeps"): lambda: f"the scene's, or {Solver.camera_substeps}",
     ("trials", "scans_per_ms"): lambda: f"the scene's, or {Solver.scans_per_ms}",

@@ -71,7 +71,7 @@ ONLY_IN = {
     ),
     "typer": ("cli/main.py", "cli/flags.py", "cli/exit_codes.py"),
     "rich": ("console.py",),
-    "numba": ("kernels/compiled.py", "cli/compiling.py"),
+    "numba": ("kernels/compiled.py", "cli/workers.py"),
     "distributed": ("cli/dask_engine.py",),
     "pyarrow": ("formats/read/*", "formats/write/*", "formats/write/lerobot/*"),
     "av": ("formats/write/lerobot/write_lerobot.py",),

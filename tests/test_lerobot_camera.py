@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from evetac_cli.devices import EventCamera
+from evetac_cli.devices.cameras import ReplayCamera
 from evetac_cli.devices.dvxplorer.camera import DvxplorerCamera
-from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.devices.virtual.dvxplorer import VirtualDvxplorer
 from evetac_cli.devices.virtual.word_sources import random_event_words
 from evetac_cli.store.recordings.read import Recording

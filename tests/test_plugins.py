@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from evetac_cli import plugins, testing
-from evetac_cli.cli import dask_worker, exit_codes, main
+from evetac_cli.cli import dask_engine, exit_codes, main
 from evetac_cli.devices import cameras, grippers
 from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.errors import InputError
@@ -443,9 +443,9 @@ def test_a_worker_without_the_package(add: Add, tmp_path: Path) -> None:
     (part,) = plugins.parts()
 
     def answer(part: plugins.Part) -> str:
-        version = dask_worker.__version__
-        command = dask_worker.ClusterCommand("record", None, False, version, tmp_path, tmp_path / "sign", (part,))
-        return dask_worker.check_worker(pickle.loads(pickle.dumps(command)))
+        version = dask_engine.__version__
+        command = dask_engine.ClusterCommand("record", None, False, version, tmp_path, tmp_path / "sign", (part,))
+        return dask_engine.check_worker(pickle.loads(pickle.dumps(command)))
 
     assert answer(part) == ""
     assert answer(part._replace(version="1.9")) == "has lab 2.0, but the command has lab 1.9"

@@ -2,7 +2,7 @@
 
 A job reads and writes its files itself. The cluster therefore needs storage that all its computers share; only paths
 and rows are sent. A worker changes to the folder in which the command was started, so that paths, rows and recipes are
-the same with every engine. A task is one job, or as many short ones as take TASK_S: submitting a task costs some 10 ms.
+the same with every engine. A task is one job; submitting it costs some 10 ms.
 
 While a command runs, it keeps a sign file next to the outputs. A worker that sees the file shares the storage. A
 worker that no longer sees it has to stop, because Dask itself cannot end a running task.
@@ -14,27 +14,104 @@ process.
 
 import itertools
 import logging
+import os
 import pkgutil
+import platform
 import queue
+import threading
 import time
 import uuid
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from evetac_cli import console, plugins
 from evetac_cli.cli import workers
-from evetac_cli.cli.dask_worker import LOOK_S, ClusterCommand, WorkerRefused, check_worker, run_task
 from evetac_cli.errors import EvetacError, InputError, shortened
 from evetac_cli.interrupts import CTRL_C, SignalsLetThrough, signals_blocked
 from evetac_cli.jobs import Job, Outcome, Progress
 from evetac_cli.names import __version__
 
+LOOK_S = 1.0  # interval at which a worker checks whether it must stop, and the command checks for new workers
+_one_job_at_a_time = threading.Lock()  # a worker may have several threads
+
+
+@dataclass(frozen=True)
+class ClusterCommand:
+    """Information on a command for every worker: how to run its jobs, and how to check that the worker is suitable."""
+
+    module: str
+    chosen: Any
+    force: bool
+    version: str
+    folder: Path  # working folder of the command
+    sign: Path  # file that exists while the command runs
+    parts: tuple[plugins.Part, ...] = ()  # plug-ins that the command uses
+
+
+@dataclass(frozen=True)
+class WorkerRefused:
+    """The reason why a worker refuses the jobs of a command."""
+
+    reason: str
+
+
+def check_worker(command: ClusterCommand) -> str:
+    """Return the reason why this process cannot work for a command, as a text; empty if it can."""
+    if command.version != __version__:
+        return f"has evetac {__version__}, but the command has evetac {command.version}"
+    if reason := plugins.lacking(command.parts):
+        return reason
+    for path in (command.folder, command.sign.parent):
+        if not path.is_dir():
+            return f"does not see the folder {path}: no shared storage"
+    return "" if command.sign.exists() else f"does not see the files in {command.sign.parent}: no shared storage"
+
+
+def run_task(command: ClusterCommand, job: Job, seen: tuple[Path, ...]) -> Outcome | EvetacError | WorkerRefused | None:
+    """Run a job and return its result; None if the worker had to stop.
+
+    seen: the inputs of the job that exist on the computer of the command.
+    """
+    with _one_job_at_a_time:
+        if reason := check_worker(command):
+            return WorkerRefused(reason)
+        plugins.take_part(command.parts)
+        before = Path.cwd()
+        os.chdir(command.folder)
+        try:
+            for path in seen:
+                if not path.exists():
+                    message = f"a worker on {platform.node()} does not see this file: no shared storage"
+                    return EvetacError(message, where=str(path))
+            return workers.run_one(command.module, job, command.chosen, command.force, _stopping(command.sign))
+        except KeyboardInterrupt:
+            return None
+        except Exception as error:
+            plugins.note_culprits(error)
+            raise
+        finally:
+            os.chdir(before)
+
+
+def _stopping(sign: Path) -> Progress:
+    """Return a progress callback that raises KeyboardInterrupt once the sign file of its command is gone."""
+    looked_s = time.monotonic()
+
+    def report(done: float, total: float, doing: str = "") -> None:
+        nonlocal looked_s
+        if time.monotonic() - looked_s >= LOOK_S:
+            looked_s = time.monotonic()
+            if not sign.exists():
+                raise KeyboardInterrupt
+
+    return report
+
+
 GRACE_S = 5.0  # time for workers to stop
-TASK_S = 1.0  # shorter jobs are submitted together
 CONNECT_S = 20.0
 
 
@@ -146,10 +223,7 @@ class _Run:
         self.waiting = deque(jobs)
         self.count, self.done = len(jobs), 0
         self.progress, self.results = progress, results
-        self.running: dict[Any, list[Job]] = {}  # by their futures
-        self.alone = False  # whether every job is a separate task
-        self.took_s, self.took_jobs = 0.0, 0  # working time and number of all jobs that ended
-        self.handed_out_s: dict[Any, float] = {}  # time of submission, by future
+        self.running: dict[Any, Job] = {}  # by their futures
         self.ended: queue.SimpleQueue[Any] = queue.SimpleQueue()  # futures
         self.name, self.numbers = f"evetac-{uuid.uuid4().hex}", itertools.count()
         self.workers: set[str] = set()  # all workers seen so far
@@ -179,29 +253,21 @@ class _Run:
         self.workers |= joined
         usable = len(joined if self.fit is None else joined & set(self.fit))
         while self.waiting and len(self.running) < usable:
-            jobs = [self.waiting.popleft() for _ in range(self._task_size(usable))]
-            seen = [tuple(path for path in job.inputs if path.exists()) for job in jobs]
+            job = self.waiting.popleft()
+            seen = tuple(path for path in job.inputs if path.exists())
             # Other workers may take a task meant for a worker that is gone. They refuse it, and it is submitted again.
             future = self.client.submit(
                 run_task,
                 self.command,
-                jobs,
+                job,
                 seen,
                 key=f"{self.name}-{next(self.numbers)}",  # always new: Dask would reuse the result of an equal key
                 pure=False,
                 workers=self.fit,
                 allow_other_workers=self.fit is not None,
             )
-            self.running[future] = jobs
-            self.handed_out_s[future] = time.monotonic()
+            self.running[future] = job
             future.add_done_callback(self.ended.put)
-
-    def _task_size(self, usable: int) -> int:
-        """Return the number of jobs of the next task: TASK_S of work, but few enough that all workers end together."""
-        if self.alone or not self.took_jobs:
-            return 1
-        last = -(-len(self.waiting) // (2 * usable))
-        return max(1, min(last, int(TASK_S * self.took_jobs / max(self.took_s, 1e-6))))
 
     def _wait(self) -> Any:
         """Return the next future that ended, or None; Ctrl-C is raised here."""
@@ -210,44 +276,33 @@ class _Run:
         return None
 
     def _take(self, future: Any) -> None:
-        """Store the results of a task's jobs; refused jobs are queued again."""
+        """Store the result of a task; a refused job is queued again."""
         if future is None:
             return
-        jobs = self.running.pop(future)
-        began_s = self.handed_out_s.pop(future)
-        results = self._results(future, jobs)
-        if isinstance(results, WorkerRefused):
-            results = []
-        if results:
-            self.took_s += time.monotonic() - began_s
-            self.took_jobs += len(results)
-            self.results |= {job.output: result for job, result in zip(jobs, results, strict=False)}
-            self.done += len(results)
+        job = self.running.pop(future)
+        result = self._result(future, job)
+        if isinstance(result, (Outcome, EvetacError)):
+            self.results[job.output] = result
+            self.done += 1
             self.progress(self.done, self.count, "files")
-        rest = jobs[len(results) :]
-        if rest and not self.stopping:  # refused, or the sign file was removed
-            self.waiting.extendleft(reversed(rest))
+        elif not self.stopping:  # refused, or the sign file was removed
+            self.waiting.appendleft(job)
             self._look_at_workers()
 
-    def _results(self, future: Any, jobs: list[Job]) -> list[Outcome | EvetacError] | WorkerRefused:
+    def _result(self, future: Any, job: Job) -> Outcome | EvetacError | WorkerRefused | None:
         from concurrent.futures import CancelledError
 
         from distributed import KilledWorker
 
         try:
-            results: list[Outcome | EvetacError] | WorkerRefused = future.result()
+            result: Outcome | EvetacError | WorkerRefused | None = future.result()
         except KilledWorker as error:
-            if len(jobs) > 1:  # run as separate tasks, the job at fault shows
-                self.alone = True
-                return []
-            return [
-                EvetacError(
-                    f"{error.allowed_failures + 1} workers died during this job",
-                    where=str(jobs[0].output),
-                    found=f"the last was {error.last_worker.address}",
-                    hint="out of memory? use workers with more memory, or fewer workers per computer",
-                )
-            ]
+            return EvetacError(
+                f"{error.allowed_failures + 1} workers died during this job",
+                where=str(job.output),
+                found=f"the last was {error.last_worker.address}",
+                hint="out of memory? use workers with more memory, or fewer workers per computer",
+            )
         except (CancelledError, OSError):
             if future.status == "error":  # raised by the job itself
                 raise
@@ -268,7 +323,7 @@ class _Run:
             if not plugins.parts() or "deserialization of the task graph" not in str(error):
                 raise
             raise _unread_by_scheduler(error) from None
-        return results
+        return result
 
     def _look_at_workers(self) -> None:
         """Exclude unsuitable workers, with a message; InputError if none has been suitable so far."""
@@ -320,7 +375,7 @@ class _Run:
         """Let remaining workers remove the half-written files of workers that are gone from the same computers."""
         with suppress(Exception):  # a cluster that is gone cannot be asked
             if self.workers - set(self.client.nthreads()):
-                outputs = [job.output for jobs in self.running.values() for job in jobs] + list(self.results)
+                outputs = [job.output for job in self.running.values()] + list(self.results)
                 files = [self.command.folder / output for output in outputs]
                 self.client.run(workers.remove_unfinished, files, on_error="ignore")
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli import console
-from evetac_cli.cli import compiling, config, flags, workers
+from evetac_cli.cli import config, flags, workers
 from evetac_cli.cli.exit_codes import CommandExit
 from evetac_cli.cli.flags import Running
 from evetac_cli.commands.parameter import Command
@@ -93,7 +93,7 @@ def _dry_run(title: str, stage: Stage[Any], jobs: list[Job], params: Any, runnin
     assert stage.dry_run is not None
     with (
         console.progress_bar(title, "runs", quiet=running.quiet) as progress,
-        compiling.announced(quiet=running.quiet, interrupted=interrupt_received),
+        workers.announced(quiet=running.quiet, interrupted=interrupt_received),
     ):
         shown = stage.dry_run(jobs, params, force=running.force, progress=progress)
     if running.as_json or running.verbose:
@@ -217,7 +217,7 @@ def run_jobs(
             name = f"{command.name}{which} {job.output.name}"
             with (
                 console.progress_bar(name, command.unit, quiet=quiet) as progress,
-                compiling.announced(quiet=quiet, interrupted=interrupt_received),
+                workers.announced(quiet=quiet, interrupted=interrupt_received),
             ):
                 results[job.output] = workers.run_one(command.module, job, params, force, progress)
 

@@ -3,10 +3,17 @@
 A program that calls `evetac ... --json` can always parse the output: the rows of what was made, and the error. An
 unexpected exception passes through all of this unchanged, so that tests see it as raised; only `run` reports it as a
 defect.
+
+A result that cannot be written to standard output ends the program; a message that cannot be written does not.
+SIGPIPE's usual effect is not used: it would also end a process that lost its gripper, camera or worker, before it could
+release the gripper. So only a failed write to standard output ends the program, in the end as SIGPIPE would.
 """
 
 import gc
+import io
 import os
+import select
+import signal
 import sys
 import tempfile
 import traceback
@@ -20,8 +27,6 @@ import typer
 
 from evetac_cli import console, interrupts, plugins
 from evetac_cli.cli.flags import Group, Running
-from evetac_cli.cli.standard_streams import OutputClosed, OutputError, end_as_by_sigpipe, open_streams
-from evetac_cli.commands import FORMER
 from evetac_cli.errors import (
     INTERNAL_ERROR,
     INTERRUPTED,
@@ -36,6 +41,79 @@ from evetac_cli.jobs import Outcome
 from evetac_cli.kernels import kernel_cache
 from evetac_cli.names import __version__
 
+
+class OutputClosed(BaseException):
+    """The reader of the standard output is gone. This is not an error, and only the program's end catches it."""
+
+
+class OutputError(EvetacError):
+    """The result could not be written to the standard output (exit code 1)."""
+
+
+class _Output(io.FileIO):
+    """The standard output; after the first error, all bytes are dropped."""
+
+    def write(self, data: Any) -> int:
+        """Write some of the bytes; raise OutputClosed or OutputError on failure."""
+        try:
+            while (written := super().write(data)) is None:  # another process made it non-blocking
+                select.select([], [self], [])
+            return written
+        except BrokenPipeError:
+            self._drop_all()
+            raise OutputClosed from None
+        except OSError as error:
+            self._drop_all()
+            raise OutputError(f"cannot be written: {error.strerror or error}", where="the output") from None
+
+    def _drop_all(self) -> None:
+        """Discard what is still in buffers; otherwise the interpreter would try to write it again when it ends."""
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, self.fileno())
+        os.close(nowhere)
+
+
+class _Messages(io.FileIO):
+    """The standard error. It never fails: messages that cannot be written are dropped."""
+
+    def write(self, data: Any) -> int:
+        """Write some of the bytes, or drop all of them silently."""
+        try:
+            written = super().write(data)
+        except OSError:
+            written = None
+        return len(memoryview(data).cast("B")) if written is None else written
+
+
+def open_streams() -> None:
+    """Replace sys.stdout and sys.stderr; characters missing in their encoding are written as escapes."""
+    for number, mode in ((0, os.O_RDONLY), (1, os.O_RDONLY), (2, os.O_WRONLY)):
+        try:
+            os.fstat(number)
+        except (
+            OSError
+        ):  # closed, e.g. by `>&-`: reserved, so that no other file gets this number and writing still fails
+            os.set_inheritable(os.open(os.devnull, mode), True)
+    # a copy of 1: the file of this number is another one while stdout is kept for JSON (console.stdout_for_json)
+    output, messages = _Output(os.dup(1), "w"), _Messages(2, "w", closefd=False)
+    sys.stdout = _text(output, sys.stdout, line_buffering=output.isatty())
+    sys.stderr = _text(messages, sys.stderr, line_buffering=True)
+
+
+def _text(raw: io.FileIO, before: Any, *, line_buffering: bool) -> io.TextIOWrapper:
+    encoding = getattr(before, "encoding", None) or "utf-8"
+    buffered = io.BufferedWriter(raw)
+    return io.TextIOWrapper(buffered, encoding, errors="backslashreplace", line_buffering=line_buffering)
+
+
+def end_as_by_sigpipe() -> NoReturn:
+    """End this process like one that wrote to a closed pipe: shells report 141."""
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGPIPE})
+    os.kill(os.getpid(), signal.SIGPIPE)
+    os._exit(128 + signal.SIGPIPE)
+
+
 INTERRUPTED_CODE = 130
 UsageError: Any = typer.BadParameter.__base__  # not exported by typer; defined in click, or in typer's own copy of it
 
@@ -47,9 +125,6 @@ class Commands(Group):
         """Note whether --json was given, before any flag is read, then read the flags of `evetac` itself."""
         ctx.meta["as_json"] = "--json" in args
         with _outside_a_command(ctx):
-            for former in (args[0], *(f"{args[0]} {flag}" for flag in args[1:])) if args else ():
-                if former in FORMER:
-                    ctx.fail(f"`evetac {former}` is now `evetac {FORMER[former]}`.")
             return list(super().parse_args(ctx, args))
 
     def invoke(self, ctx: Any) -> Any:

@@ -7,10 +7,7 @@ from evetac_cli.commands.parameter import LOOK, Command, parameter
 
 @dataclass(frozen=True)
 class Info:
-    """Show the contents of stage files: kind, duration, events, rates, history. For a folder, list its files.
-
-    The list of a folder's files is kept in an index, so that only changed files are read again.
-    """
+    """Show the contents of stage files: kind, duration, events, rates, history. For a folder, count its files."""
 
     where: list[str] | None = parameter(
         None,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from evetac_cli.commands.parameter import Command, parameter
 
 REVIEW = "Manual labels"  # a panel of --help
-OTHERS, TRAINING = "Methods other than event-flow", "Training"  # panels of --help
+OTHERS = "Methods other than event-flow"  # a panel of --help
 
 
 @dataclass(frozen=True)

@@ -3,9 +3,7 @@
 from dataclasses import dataclass
 
 from evetac_cli import names, plugins
-from evetac_cli.commands.parameter import Command, parameter
-
-OTHERS, TRAINING = "Methods other than event-flow", "Training"  # panels of --help
+from evetac_cli.commands.parameter import EXPERTS, Command, parameter
 
 
 @dataclass(frozen=True)
@@ -40,26 +38,28 @@ class Train:
         False,
         "Learn, in addition to the labels, the slipping share of the visible contact from simulated ground truth"
         " (featurize --true-slip-share). No real sensor can measure this share; `info` and tables mark such a model.",
-        panel=TRAINING,
+        panel=EXPERTS,
     )
     epochs: int = parameter(
         70,
         "Passes over the training data; one covers all non-slip slices with more than 25 events.",
         low=1,
         high=100000,
+        panel=EXPERTS,
     )
     max_steps: int | None = parameter(
         None,
         "Stop after this many steps, with a note; default: 40000, or 1000 with --adapt.",
         unit="steps",
         low=1,
+        panel=EXPERTS,
     )
     seed: int = parameter(0, "Seed of the first weights, sampling and augmentation.", low=0, high=2**31 - 1)
     seeds: int = parameter(
         1, "Number of models to train, each with the next seed and in a separate file.", low=1, high=1000, recipe=False
     )
     device: str = parameter(
-        "cpu", "Device that computes the training; the numbers depend on it.", choices=("cpu", "cuda"), panel=TRAINING
+        "cpu", "Device that computes the training; the numbers depend on it.", choices=("cpu", "cuda"), panel=EXPERTS
     )
     networks: int | None = parameter(
         None,
@@ -68,7 +68,7 @@ class Train:
         " as the model of --adapt.",
         low=1,
         high=32,
-        panel=TRAINING,
+        panel=EXPERTS,
     )
     objects: str = parameter(
         "", "Train only on features of these objects, e.g. `1-9` or `1-3,8`.", recipe=False, flag="--object"
@@ -88,6 +88,7 @@ class Train:
         low=0.0,
         high=300.0,
         recipe=False,  # added to the recipe only if given
+        panel=EXPERTS,
     )
     folds: int = parameter(
         0,
@@ -96,7 +97,7 @@ class Train:
         " unseen objects.",
         low=0,
         high=100,
-        panel=TRAINING,
+        panel=EXPERTS,
     )
     adapt: str = parameter(
         "",

@@ -12,7 +12,7 @@ from evetac_cli.arrays import Floats
 from evetac_cli.console import first_rows, format_value, print_table, print_text
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.events import SLICES_PER_S
-from evetac_cli.inspect import index
+from evetac_cli.inspect import folder
 from evetac_cli.jobs import Looking, Outcome
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.slip.covariates import SlipCovariates, unknown_covariates
@@ -21,9 +21,8 @@ from evetac_cli.stages.model_files import TRUE_SLIP_SHARE, labelled_by, learned_
 from evetac_cli.stages.related_files import check_made_from
 from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.recordings import slip_grid, streams
-from evetac_cli.store.recordings.onset import abstains, labelled_onset
+from evetac_cli.store.recordings.onset import abstains, covariates_of_labels, covariates_of_truth, labelled_onset
 from evetac_cli.store.recordings.read import Recording
-from evetac_cli.store.recordings.slip_covariates import covariates_of_labels, covariates_of_truth
 from evetac_cli.text_files import parse_json
 
 RGB_BYTES_S = 540 * 480 * 3 * 25  # the paper's RGB sensor
@@ -37,10 +36,10 @@ OPTIONAL_GROUPS = ("gripper", "truth", "control", "capture", "marks", "streams")
 
 
 def look(looking: Looking) -> Outcome:
-    """Describe files, or answer from the index of a folder; errors of single files hide no others."""
+    """Describe files, or list those of a folder; errors of single files hide no others."""
     paths, conditions = looking.paths, looking.params.where or ()
     if len(paths) == 1 and paths[0].is_dir():
-        return index.answer(paths[0], conditions, looking.progress)
+        return folder.answer(paths[0], conditions, looking.progress)
     if conditions:
         found = ", ".join(map(str, paths))
         raise InputError("searches the files of a folder", where="--where", expected="one folder", found=found)
@@ -63,7 +62,7 @@ def run(files: list[Path], errors: list[EvetacError] | None = None) -> Outcome:
 def show(result: Outcome, *, verbose: bool = False) -> None:
     """Print a block for each file: figures first, then its provenance. Of a folder, a table of its files or counts."""
     if "folder" in result.summary:
-        rows = index.for_people(result.rows)
+        rows = folder.for_people(result.rows)
         shown = rows if verbose else first_rows(rows)
         print_table("info", shown, result.summary, simulated=result.simulated, verbose=verbose)
         return

@@ -17,6 +17,9 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 MOST_BYTES = 64 << 20
+ORDER_S = 0.1  # how long a process waits for an order before it looks for signals
+FLUSH_S = 5.0
+LAST_FLUSH_S = 60.0  # time for the last messages to a busy recorder, which needs them to know how the grasp ended
 _PIPE_BYTES = 1 << 20
 _LENGTH = struct.Struct("<Q")
 _READ_BYTES = 1 << 18

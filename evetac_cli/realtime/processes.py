@@ -1,4 +1,4 @@
-"""Start processes with a period of 1 or 2 ms so that Ctrl-C does not reach them, and raise their priority.
+"""Start processes with a period of 1 or 2 ms shielded from Ctrl-C, raise their priority, and report how they ended.
 
 Ctrl-C: the signal goes to all processes of a terminal, but the parent process must end its children in order. So each
 child ignores SIGINT first of all. But before it can do so, it loads modules for seconds. Blocked signals are inherited:
@@ -12,20 +12,26 @@ get real-time priority. Linux stops all real-time processes of a core for the re
 threads of usual priority deliver serial bytes. When a detector with real-time priority took most of a core, the
 controller waited for answers of its gripper and missed one command in eight on two cores. So the detector only gets a
 lower niceness.
+
+Last words: an exit code alone does not explain anything, and a process whose error looked like a normal end leaves code
+0. So the error that ends a process is written into memory that outlives it, before the process exits.
 """
 
+import multiprocessing
 import os
 import signal
 import sys
 import time
-from collections.abc import Iterator, Sequence
+import traceback
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import Any
 
-from evetac_cli.errors import DeviceError
+from evetac_cli.errors import DeviceError, EvetacError, exit_code_words, shortened
 from evetac_cli.interrupts import CTRL_C, signals_blocked
 
 STANDSTILL_S = 60.0  # a starting process without any computation for this long is considered stuck
@@ -33,6 +39,8 @@ ENDING_FLAG = 0x4  # PF_EXITING: the process has begun to end; a killed process 
 NICE = -10
 USUAL = "as usual"
 REALTIME = "real-time"
+MOST_BYTES = 512  # of the last words of a process
+PATIENCE_S = 5.0  # a pipe closes before its process has ended: Python's exit takes seconds on a busy computer
 
 
 def start_shielded(process: BaseProcess) -> None:
@@ -143,3 +151,51 @@ def raised_priority(rank: int, *, wanted: bool = True) -> Iterator[str]:
             os.sched_setscheduler(0, policy, parameters)
         with suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, 0, niceness)
+
+
+class LastWords:
+    """A line of text in shared memory; passed to a process when it is spawned."""
+
+    def __init__(self) -> None:
+        self._text = multiprocessing.get_context("spawn").RawArray("c", MOST_BYTES)
+
+    def write(self, text: str) -> None:
+        """Replace the text by the first line of another."""
+        self._text.value = text.partition("\n")[0].encode(errors="backslashreplace")[: MOST_BYTES - 1]
+
+    def read(self) -> str:
+        """Return the text; empty if none was written."""
+        return bytes(self._text.value).decode(errors="ignore")
+
+
+def telling(words: LastWords, target: Callable[..., object], *arguments: Any) -> None:
+    """Run a function as the target of a process, and write down the error that ends it, if any."""
+    try:
+        target(*arguments)
+    except BaseException as error:
+        words.write(error_words(error))
+        if isinstance(error, EvetacError):  # its message is complete; a traceback would not add anything
+            sys.exit(1)
+        raise
+
+
+def error_words(error: BaseException) -> str:
+    """Return an error on one line: its type, its message, and where in the code it was raised."""
+    if isinstance(error, EvetacError):
+        return str(error)
+    message = shortened(str(error).partition("\n")[0])
+    place = ""
+    if frames := traceback.extract_tb(error.__traceback__):
+        place = f", in {Path(frames[-1].filename).name}, line {frames[-1].lineno}"
+    return f"{type(error).__name__}{': ' if message else ''}{message[: MOST_BYTES // 2]}{place}"
+
+
+def with_reason(sentence: str, how: str) -> str:
+    """Return a sentence about the end of a process, with the reason in brackets if it is known."""
+    return f"{sentence} ({how})" if how else sentence
+
+
+def exit_words(process: BaseProcess, words: LastWords | None = None, patience_s: float = PATIENCE_S) -> str:
+    """Return on one line how a process ended; "" if it has not ended within this time."""
+    process.join(patience_s)
+    return exit_code_words(process.exitcode, "" if words is None else words.read())

@@ -20,8 +20,8 @@ from typing import NamedTuple
 
 from evetac_cli.kernels.grip import control
 from evetac_cli.kernels.grip.control import SlipSignal
-from evetac_cli.realtime.bell import Bell
 from evetac_cli.realtime.shared_row import SharedRow
+from evetac_cli.realtime.shared_time import Bell
 
 REMEMBERED = 32  # latest slices with slip whose times are stored
 _SIZE = 1088

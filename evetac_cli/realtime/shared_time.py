@@ -8,18 +8,47 @@ Reason: on the host's clock, a late world misses the end of its own trial, and a
 a dead one. Both would be effects of the machine, not of the program.
 """
 
+import contextlib
 import math
 import mmap
+import multiprocessing
+import os
+import select
 import time
 from pathlib import Path
 from typing import Protocol
 
-from evetac_cli.realtime.bell import Bell
 from evetac_cli.realtime.shared_row import SharedRow
+
+
+class Bell:
+    """A bell with which one process wakes another that sleeps; ringing never waits. May be passed to a spawned process.
+
+    Why a pipe and not an eventfd or a futex: macOS has neither. Writing to a pipe also takes a microsecond, and a wait
+    for a pipe can have a timeout that is not a whole number of milliseconds.
+    """
+
+    def __init__(self) -> None:
+        self._ear, self._rope = multiprocessing.get_context("spawn").Pipe(duplex=False)
+
+    def ring(self) -> None:
+        """Wake the process that waits, or the next that does; without effect if the pipe is full of rings."""
+        os.set_blocking(self._rope.fileno(), False)
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._rope.fileno(), b"!")
+
+    def wait(self, seconds: float) -> bool:
+        """Sleep until it rings, for at most `seconds`; return whether it rang. Earlier rings count, and are cleared."""
+        if not select.select([self._ear], [], [], seconds)[0]:
+            return False
+        os.read(self._ear.fileno(), _MANY)
+        return True
+
 
 PATIENCE_S = 2.0  # longest pause: a process that is later than this is considered dead
 CREEP = 0.01  # speed of the clock during a pause, so that two steps of a control loop never have the same time
 SHORTEST_SLEEP_S = 2e-4
+_MANY = 1 << 12  # rings that one wait clears
 READER_S = 0.02  # largest lead over the reader of the slices; a driver on an idle machine is 5 ms behind
 
 

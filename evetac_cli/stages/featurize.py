@@ -136,7 +136,7 @@ def _gripper(recording: Recording) -> dict[str, NDArray[np.float32]]:
 
 def _sticking_share(tracks: StageFile) -> NDArray[np.float32]:
     """Return the sticking share, (slices,), known at the start of each slice: from the dots after the previous one."""
-    from evetac_cli.stages.touch.sticking_share import StickingShare
+    from evetac_cli.stages.touch.touch_fold import StickingShare
 
     sticks = StickingShare(tracks.read("sensor/dot_xy_px").reshape(-1, 2), tracks.read("sensor/frame_px"))
     slices = tracks.length("dot_xy_px")

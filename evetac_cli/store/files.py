@@ -5,8 +5,9 @@ other files. Each dataset is checked before it is first read: that its rows were
 and fit those of other datasets. Not all datasets are checked at once: for the 32 datasets of a recording this would
 take ten times as long, and most commands read only a few. Use `check` to check a whole file.
 
-A file is written atomically: to a temporary file next to the target, which is renamed when it is complete. If another
-run has put a file there in the meantime, this ends as it would have, had that file been there before (`up_to_date`).
+A file is written atomically: to a temporary file next to the target, which is checked and renamed when it is complete.
+If another run has put a file there in the meantime, this ends as it would have, had that file been there before
+(`up_to_date`).
 """
 
 import json
@@ -26,7 +27,6 @@ from evetac_cli.store.hdf5.checked_hdf5 import CheckedHdf5, damage_in_words
 from evetac_cli.store.hdf5.chunks import RowReader, RowWriter, put
 from evetac_cli.store.hdf5.disk import Recheck, existing_folder, new_file, taking_the_place_of
 from evetac_cli.store.layout import ancestry, contents, netcdf, schema
-from evetac_cli.store.layout.contents import NewContents
 from evetac_cli.store.layout.provenance import (
     FOREIGN,
     Header,
@@ -39,6 +39,8 @@ from evetac_cli.store.layout.provenance import (
     recompute_id,
 )
 from evetac_cli.store.layout.rules import Rule, Shapes
+
+NOT_WRITTEN = "the file was not written; check its inputs with `evetac validate`"
 
 
 class StageFile:
@@ -279,14 +281,29 @@ def writing(
 
     If another run has put a file there in the meantime, the block ends as `up_to_date` does.
 
-    arrays: the datasets that are known, including those that others are checked against, as events against the frame.
+    arrays: the datasets that are known.
     lengths: number of rows of each other dataset; a dataset without one grows.
     """
     recheck = Recheck(lambda: writer.recipe is None or up_to_date(path, writer.recipe, force=force))
-    with replacing(path, recheck) as h5:
-        writer = StageWriter(h5, path, kind, arrays, lengths or {})
-        yield writer
+    with taking_the_place_of(path, check=recheck) as temporary:
+        with new_file(temporary) as h5:
+            writer = StageWriter(h5, kind, arrays, lengths or {})
+            yield writer
+        if writer.recipe is not None:
+            _check_new(temporary, path)
     writer.made = recheck.made
+
+
+def _check_new(temporary: Path, path: Path) -> None:
+    """Read all of a new file before it takes its place at `path`; SchemaError if a reader would refuse it."""
+    try:
+        with StageFile(temporary) as file:
+            file.check()
+            for name, (_, shape) in file.contents().items():
+                contents.check_dataset(file, name, shape)
+    except SchemaError as error:
+        error.where, error.hint = str(path), NOT_WRITTEN
+        raise
 
 
 class StageWriter:
@@ -295,27 +312,23 @@ class StageWriter:
     made: after the block of `writing`, whether the file was made; False if another run made it with this recipe.
     """
 
-    def __init__(
-        self, h5: h5py.File, path: Path, kind: str, arrays: Mapping[str, Any], lengths: Mapping[str, int]
-    ) -> None:
+    def __init__(self, h5: h5py.File, kind: str, arrays: Mapping[str, Any], lengths: Mapping[str, int]) -> None:
         self.recipe: Recipe | None = None
         self.made = False
         self._h5, self._kind, self._lengths = h5, kind, lengths
         self._arrays = arrays
-        self._new = NewContents(path, kind, arrays)
         self._rows: dict[str, RowWriter] = {}
 
     def append(self, block: Mapping[str, Any]) -> None:
-        """Check and write the next rows, possibly none, of some datasets. Ctrl-C is raised here."""
+        """Write the next rows, possibly none, of some datasets. Ctrl-C is raised here."""
         leave_if_interrupted()
         for name, rows in block.items():
             if name not in self._rows:
                 self._rows[name] = RowWriter(self._h5, name, rows.dtype, rows.shape[1:], self._lengths.get(name))
-            self._new.check_block(name, rows, self._rows[name].rows)
             self._rows[name].append(rows)
 
     def finish(self, recipe: Recipe, arrays: Mapping[str, Any] | None = None) -> Header:
-        """Write the whole datasets, with more of them in `arrays`, check everything, and complete the file."""
+        """Write the whole datasets, with more of them in `arrays`, and complete the file."""
         for writer in self._rows.values():
             writer.close()
         short = [
@@ -324,14 +337,11 @@ class StageWriter:
         if short:
             raise ValueError(f"blocks: expected all rows of {', '.join(short)}, found others")
         header = recipe.header()
-        more = {**(arrays or {}), **ancestry.stored_tables(header)}
-        self._new.add(more)
-        self._new.shapes |= {
-            name: (schema.describe_stored(self._h5[name]), self._h5[name].shape) for name in self._rows
-        }
-        schema.refuse(self._kind, schema.problems(schema.load(self._kind), self._new.shapes))
-        self._new.check_rest(self._h5)
-        for name, value in {**self._arrays, **more}.items():
+        whole = {**self._arrays, **(arrays or {}), **ancestry.stored_tables(header)}
+        shapes = {name: schema.describe(value) for name, value in whole.items()}
+        shapes |= {name: (schema.describe_stored(self._h5[name]), self._h5[name].shape) for name in self._rows}
+        schema.refuse(self._kind, schema.problems(schema.load(self._kind), shapes))
+        for name, value in whole.items():
             put(self._h5, name, value)
         put_header(self._h5, header)
         self.recipe = recipe

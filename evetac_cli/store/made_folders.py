@@ -15,7 +15,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from evetac_cli.errors import InputError, UnavailableError
-from evetac_cli.store import index
 from evetac_cli.store.hdf5.disk import (
     existing_folder,
     locked,
@@ -89,15 +88,12 @@ def new_folder(folder: Path, *, force: bool) -> Iterator[Path]:
 
 
 def _refuse_unexpected(now: Path, folder: Path) -> None:
-    """Raise InputError if the contents of `folder`, which are `now` there, are not those that evetac wrote.
-
-    An index by evetac does not count, since `info` creates one.
-    """
+    """Raise InputError if the contents of `folder`, which are `now` there, are not those that evetac wrote."""
     try:
         listed = dict(parse_json(read_text(list_path(folder), MOST_LIST_BYTES))["files"])
     except (InputError, UnavailableError, ValueError, TypeError, KeyError):
         listed = {}
-    foreign = [name for name, mark in _files(now).items() if listed.get(name) != mark and Path(name).name != index.NAME]
+    foreign = [name for name, mark in _files(now).items() if listed.get(name) != mark]
     if foreign:
         message = "the folder has files that evetac did not make, or that were changed, so it is not replaced"
         found, hint = ", ".join(foreign[:MOST_NAMED]), "-o NAME writes to another folder; or move your own files away"

@@ -22,8 +22,7 @@ from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.sim.camera.camera_parts import Camera, Dots
 from evetac_cli.sim.setup.scene import Scene
 from evetac_cli.sim.timing import Call, Timer
-from evetac_cli.trials import gel_grid
-from evetac_cli.trials.trial import SimulatedTrial
+from evetac_cli.trials.trial import SimulatedTrial, grid_notes
 
 REPEATS = 3  # most repeats
 BUDGET_S = 3.0  # total time of the runs; a slow scene is measured on fewer slices
@@ -97,7 +96,7 @@ def dry_run(trials: Sequence[SomeTrial], play: Play[SomeTrial], progress: Progre
 
     costs = measure(trials[0], play, progress)
     files: dict[str, Any] = {"files": sum(len(trial.outputs) for trial in trials), "first_file": str(trials[0].output)}
-    if notes := gel_grid.notes(trials):
+    if notes := grid_notes(trials):
         files["gel_grid"] = notes[0]
     if costs is None:  # the trial ended before anything could be measured
         return Outcome(rows_of(trials[0].plan), True, files, made=False)

@@ -6,7 +6,7 @@ time (real, or virtual with a simulated scene), or on a replayed recording.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from evetac_cli.commands.trials import Trials
 from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.devices.grippers import NamedGripper
-from evetac_cli.errors import InputError
+from evetac_cli.errors import InputError, SceneError
 from evetac_cli.jobs import Job, Rows
 from evetac_cli.names import Capability
 from evetac_cli.sim.setup.object_file import seed_of
@@ -24,8 +24,11 @@ from evetac_cli.sim.setup.solver import Solver
 from evetac_cli.stages import one_file
 from evetac_cli.store.recordings import slip_grid
 from evetac_cli.store.recordings.segments import refuse_leftover
+from evetac_cli.store.recordings.slip_grid import FEWEST_NODES, resolving_mm
 
 OUTPUT = "recording"
+GRIP = 2.5  # margin: normal force over the slip limit at which slip is resolved; objects also slip in too tight a grip
+FINEST_MM = 0.5  # finest pitch that is chosen
 DETAILS = frozenset(  # columns of SolverFigures
     ("mechanical_steps_a_slice", "estimated_error_um_median", "slices_over_tolerance", slip_grid.COLUMN)
 )
@@ -75,7 +78,7 @@ class SimulatedTrial(Trial):
     """A trial in a simulated scene, whose time passes as its slices are read.
 
     second_output: the file of the second finger's camera, if the plan has one; usual_pitch_mm: pitch of the gel's nodes
-    in its scene, if a finer one was chosen (gel_grid.py).
+    in its scene, if a finer one was chosen.
     """
 
     plan: Plan
@@ -268,3 +271,52 @@ class SolverFigures:
 def for_people(rows: Rows, params: Trials) -> tuple[Rows, list[str]]:
     """Return all rows without their warnings, which are printed once for all rows."""
     return [{name: value for name, value in row.items() if name != "warning"} for row in rows], []
+
+
+def nodes_of_slip(trial: SimulatedTrial, grip: float = 1.0) -> float:
+    """Return half the shortest wavelength of unstable slip, in grid nodes; infinity if slip is stable.
+
+    grip: normal force over the slip limit. SceneError if the trial cannot be simulated.
+    """
+    from evetac_cli.sim.scenes.building import simulation_of  # imports numba
+    from evetac_cli.sim.scenes.gripped import GraspSimulation
+
+    simulation = simulation_of(trial.plan, trial.seeds())
+    return simulation.pads.nodes_of_slip(grip) if isinstance(simulation, GraspSimulation) else math.inf
+
+
+def on_resolving_grid(trial: SimulatedTrial) -> SimulatedTrial:
+    """Return the trial on the coarsest grid that resolves the slip of its object with the margin GRIP.
+
+    The grid is not coarser than the scene's, nor finer than FINEST_MM; the finest may do without the margin. The trial
+    itself if its own grid resolves the slip, or if none does. It follows from the trial's plan and seeds alone, before
+    anything is simulated. A trial with virtual devices keeps the usual grid, because it has to run in real time.
+    """
+    usual_mm = trial.plan.scene.solver.node_pitch_mm
+    pitch_mm, finer = usual_mm, trial
+    try:
+        while (nodes := nodes_of_slip(finer, GRIP)) < FEWEST_NODES:
+            if pitch_mm <= FINEST_MM:
+                return finer if nodes_of_slip(finer) >= FEWEST_NODES else trial
+            pitch_mm = max(resolving_mm(nodes, pitch_mm), FINEST_MM)
+            scene = trial.plan.scene
+            scene = replace(scene, solver=replace(scene.solver, node_pitch_mm=pitch_mm))
+            finer = replace(trial, plan=replace(trial.plan, scene=scene), usual_pitch_mm=usual_mm)
+    except SceneError:  # reported when the trial is run
+        return trial
+    return finer
+
+
+def grid_notes(trials: Sequence[SimulatedTrial]) -> list[str]:
+    """Return a sentence on the grids that were chosen; none if all trials have their scene's."""
+    finer = [trial for trial in trials if trial.usual_pitch_mm is not None]
+    if not finer:
+        return []
+    pitches_mm = sorted({trial.plan.scene.solver.node_pitch_mm for trial in finer})
+    span = " to ".join(f"{pitch_mm:.2f}" for pitch_mm in dict.fromkeys((pitches_mm[0], pitches_mm[-1])))
+    objects = list(dict.fromkeys(str(trial.plan.object_name) for trial in finer))
+    which = f"object{'s' if len(objects) > 1 else ''} {', '.join(objects)}"
+    which += f", {len(finer)} of {len(trials)} trials" if len(trials) > 1 else ""
+    usual = f"default {finer[0].usual_pitch_mm:g}"
+    resolved = "slip resolved" + ", unless the grip is tight" * (pitches_mm[0] <= FINEST_MM)
+    return [f"gel grid {span} mm for {which} ({usual}): {resolved}"]

@@ -88,7 +88,7 @@ def card(about: Mapping[str, Any], rows: Sequence[Row], lifts: Mapping[str, Row]
         "## Limitations",
         f"- All trials are simulated: no real sensor, object or gripper was involved.\n- {UNLIKE}",
         *citation(None, "data set"),
-        *made_with((), {}),
+        *made_with(),
     ]
     return card_text({**card_fields(True, LICENSE), "pretty_name": title, "viewer": False}, page)
 

@@ -5,14 +5,14 @@ import gc
 import pytest
 from numba.core import event
 
-from evetac_cli.cli import compiling
+from evetac_cli.cli import workers
 
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """The time that the announcer sees, in s."""
     now = [100.0]
-    monkeypatch.setattr(compiling.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(workers.time, "monotonic", lambda: now[0])
     return now
 
 
@@ -27,7 +27,7 @@ def compile_for(clock: list[float], inner_s: float, outer_s: float) -> None:
 
 def test_a_long_wait_is_announced(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
     """Assert that nothing is said of a short wait, and of a long one once and again."""
-    with compiling.announced(quiet=False):
+    with workers.announced(quiet=False):
         compile_for(clock, 0.5, 0.5)
         clock[0] += 60.0  # in which something else is done
         assert capsys.readouterr().err == ""
@@ -45,14 +45,14 @@ def test_an_interrupt_that_was_swallowed_comes_up_after_the_function(clock: list
     """Assert that it is raised again by the next function, but neither while it ends the command nor in cleaning up."""
     pressed: list[bool] = []
     ended = []
-    with pytest.raises(KeyboardInterrupt), compiling.announced(quiet=True, interrupted=lambda: bool(pressed)):
+    with pytest.raises(KeyboardInterrupt), workers.announced(quiet=True, interrupted=lambda: bool(pressed)):
         compile_for(clock, 1.0, 1.0)
         ended.append("before")
         with event.trigger_event("numba:compile"), event.trigger_event("numba:compile"):
             pressed.append(True)
         ended.append("after")
     assert ended == ["before"]
-    with compiling.announced(quiet=True, interrupted=lambda: True):
+    with workers.announced(quiet=True, interrupted=lambda: True):
         try:
             raise KeyboardInterrupt
         except KeyboardInterrupt:

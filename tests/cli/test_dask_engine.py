@@ -17,8 +17,8 @@ import h5py
 import numpy as np
 import pytest
 
-from evetac_cli.cli import dask_engine, dask_worker, workers
-from evetac_cli.cli.dask_worker import WorkerRefused
+from evetac_cli.cli import dask_engine, workers
+from evetac_cli.cli.dask_engine import WorkerRefused
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.jobs import Job, Outcome
 from evetac_cli.resources import PACKAGE
@@ -124,11 +124,11 @@ def test_a_cluster_with_certificates_is_not_asked_without(monkeypatch: pytest.Mo
 
 
 @pytest.fixture
-def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dask_worker.ClusterCommand:
+def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dask_engine.ClusterCommand:
     """A command that was started in a folder of its own and runs."""
     (tmp_path / "sign").touch()
-    monkeypatch.setattr(dask_worker, "LOOK_S", 0.0)
-    return dask_worker.ClusterCommand("standing", None, False, dask_worker.__version__, tmp_path, tmp_path / "sign")
+    monkeypatch.setattr(dask_engine, "LOOK_S", 0.0)
+    return dask_engine.ClusterCommand("standing", None, False, dask_engine.__version__, tmp_path, tmp_path / "sign")
 
 
 def stage_is(monkeypatch: pytest.MonkeyPatch, run: Any) -> None:
@@ -137,63 +137,56 @@ def stage_is(monkeypatch: pytest.MonkeyPatch, run: Any) -> None:
 
 
 def test_a_worker_goes_to_the_folder_of_the_command(
-    command: dask_worker.ClusterCommand, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    command: dask_engine.ClusterCommand, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Assert that paths mean in the worker what they mean in the command, and that it goes back."""
     before = Path.cwd()
     where = []
     stage_is(monkeypatch, lambda *_: where.append(Path.cwd()) or MADE)
-    assert dask_worker.run_task(command, [Job((), Path("a.h5")), Job((), Path("b.h5"))], [(), ()]) == [MADE, MADE]
-    assert where == [tmp_path, tmp_path]
+    assert dask_engine.run_task(command, Job((), Path("a.h5")), ()) == MADE
+    assert where == [tmp_path]
     assert Path.cwd() == before
 
 
 def test_a_worker_that_does_not_fit_refuses(
-    command: dask_worker.ClusterCommand, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    command: dask_engine.ClusterCommand, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Assert that another version and storage that is not shared are said in words, and nothing is begun."""
     stage_is(monkeypatch, lambda *_: pytest.fail("begun"))
     job = Job((), Path("a.h5"))
-    monkeypatch.setattr(dask_worker, "__version__", "0.0.0")
-    refused = dask_worker.run_task(command, [job], [()])
+    monkeypatch.setattr(dask_engine, "__version__", "0.0.0")
+    refused = dask_engine.run_task(command, job, ())
     assert isinstance(refused, WorkerRefused)
     assert "0.0.0" in refused.reason and command.version in refused.reason
-    monkeypatch.setattr(dask_worker, "__version__", command.version)
+    monkeypatch.setattr(dask_engine, "__version__", command.version)
     (tmp_path / "sign").unlink()
-    refused = dask_worker.run_task(command, [job], [()])
+    refused = dask_engine.run_task(command, job, ())
     assert isinstance(refused, WorkerRefused) and "no shared storage" in refused.reason
-    elsewhere = dask_worker.ClusterCommand("standing", None, False, command.version, tmp_path / "none", command.sign)
-    assert str(tmp_path / "none") in dask_worker.check_worker(elsewhere)
+    elsewhere = dask_engine.ClusterCommand("standing", None, False, command.version, tmp_path / "none", command.sign)
+    assert str(tmp_path / "none") in dask_engine.check_worker(elsewhere)
 
 
 def test_an_input_that_a_worker_does_not_see(
-    command: dask_worker.ClusterCommand, monkeypatch: pytest.MonkeyPatch
+    command: dask_engine.ClusterCommand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Assert that an input that only the command sees is an error that names it."""
     stage_is(monkeypatch, lambda *_: pytest.fail("begun"))
-    results = dask_worker.run_task(command, [Job((), Path("a.h5"))], [(Path("b.recording.h5"),)])
-    assert isinstance(results, list) and isinstance(results[0], EvetacError)
-    result = results[0]
+    result = dask_engine.run_task(command, Job((), Path("a.h5")), (Path("b.recording.h5"),))
+    assert isinstance(result, EvetacError)
     assert "b.recording.h5" in str(result) and "no shared storage" in str(result)
 
 
-def test_a_job_ends_with_its_command(command: dask_worker.ClusterCommand, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a job that has begun is broken off when it next tells its progress, once the command is gone.
-
-    What the task had finished before is told.
-    """
+def test_a_job_ends_with_its_command(command: dask_engine.ClusterCommand, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a job that has begun is broken off when it next tells its progress, once the command is gone."""
 
     def run(module: str, job: Job, chosen: Any, force: bool, progress: Any) -> Outcome:
-        if job.output.stem == "first":
-            return MADE
         progress(1, 3)
         command.sign.unlink()
         progress(2, 3)
         pytest.fail("went on")
 
     stage_is(monkeypatch, run)
-    jobs = [Job((), Path(f"{name}.h5")) for name in ("first", "second", "third")]
-    assert dask_worker.run_task(command, jobs, [(), (), ()]) == [MADE]
+    assert dask_engine.run_task(command, Job((), Path("a.h5")), ()) is None
 
 
 # --- clusters ---------------------------------------------------------------------------------------------------------
@@ -256,7 +249,7 @@ class Cluster:
             each.mkdir()
             (each / "standing_stage.py").write_text(STAGE)
         (self._other / "of_another_version.py").write_text(
-            "import evetac_cli.cli.dask_worker as e; e.__version__ = '0.0.0'"
+            "import evetac_cli.cli.dask_engine as e; e.__version__ = '0.0.0'"
         )
         self._file = folder / "scheduler.json"
         self._start("scheduler", "--port", "0")

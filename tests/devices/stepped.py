@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.devices.virtual import device_model
 from evetac_cli.devices.virtual.word_sources import due_us
-from evetac_cli.realtime.bell import Bell
-from evetac_cli.realtime.shared_time import TimeSource
+from evetac_cli.realtime.shared_time import Bell, TimeSource
 
 
 class StepClock:

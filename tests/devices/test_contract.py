@@ -12,10 +12,9 @@ import pytest
 
 from evetac_cli import testing
 from evetac_cli.devices import EventCamera, Rig, cameras, grippers
-from evetac_cli.devices.cameras import CameraSettings
+from evetac_cli.devices.cameras import CameraSettings, ReplayCamera
 from evetac_cli.devices.grippers import Mode
 from evetac_cli.devices.opening import open_rig
-from evetac_cli.devices.replay import ReplayCamera
 from evetac_cli.devices.simulated import rig
 from evetac_cli.errors import DeviceError
 from evetac_cli.events import SLICE_US

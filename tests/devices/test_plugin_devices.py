@@ -73,22 +73,12 @@ class BadCamera(StillCamera):
         self.fault = fault
         self.is_open = True
 
-    @property
-    def counted(self) -> Any:  # type: ignore[override]
-        return {"late_events": math.nan if self.fault == "counted" else 0}
-
     def read(self) -> Any:
         if not self.is_open or self.fault == "empty":
             return None
         time.sleep(1e-3)  # in about real time, so that the gripper is commanded meanwhile
         index, self.slices = self.slices, self.slices + 1
         return SLICES[self.fault][0](index) if index == GOOD and self.fault in SLICES else events(index)
-
-    def host_us(self, device_us: float) -> float:
-        return self.time.now_s() * 1e6 + 1e5 if self.fault == "ahead" else math.nan
-
-    def now_us(self) -> int:
-        return 0 if self.fault == "stopped clock" else super().now_us()
 
     def close(self) -> None:
         self.is_open = False
@@ -142,15 +132,11 @@ class BadGripper(StillGripper):
 
     def read(self) -> Any:
         self.readings += 1
-        if self.readings <= self.good or self.fault in ("", "close", "losses"):
+        if self.readings <= self.good or self.fault in ("", "close"):
             return GripperReading(0.0, 400)
         if self.fault == "raises":
             raise ValueError("no checksum")
         return READINGS[self.fault][0]
-
-    @property
-    def counted(self) -> Any:  # type: ignore[override]
-        return {"late_readings": math.nan if self.fault == "losses" and self.readings > self.good else 0}
 
     def close(self) -> None:
         if self.fault == "close":
@@ -234,16 +220,11 @@ def test_nothing_is_recorded(
 @pytest.mark.parametrize(
     ("fault", "said"),
     [
-        ("ahead", "100 ms in the future"),
-        ("stopped clock", "after 100 slices it is 0 us"),
-        ("counted", "nan for 'late_events'"),
         ("close", "OSError: the camera is gone"),
     ],
 )
-def test_clock_losses_and_close(
-    bad: None, tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: str, said: str
-) -> None:
-    """Assert that a wrong clock, wrong losses and a camera that cannot be closed name the plug-in, with exit code 3."""
+def test_close(bad: None, tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: str, said: str) -> None:
+    """Assert that a camera that cannot be closed names the plug-in, with exit code 3."""
     code, words = record(tmp_path / "a.recording.h5", f"bad:{fault}", capsys, "--gripper", "none")
     assert code == 3
     assert "the plug-in camera bad of lab " in words
@@ -252,7 +233,6 @@ def test_clock_losses_and_close(
 
 WORDS = {fault: words for fault, (_, words) in READINGS.items()} | {
     "raises": "no checksum",
-    "losses": "nan for 'late_readings'",
 }
 
 
@@ -260,7 +240,7 @@ WORDS = {fault: words for fault, (_, words) in READINGS.items()} | {
 def test_record_names_the_gripper(
     bad: None, tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: str, words: str
 ) -> None:
-    """Assert that an invalid reading or loss ends a recording, with torque off and no row of it in the file."""
+    """Assert that an invalid reading ends a recording, with torque off and no row of it in the file."""
     path = tmp_path / "a.recording.h5"
     code, said = record(path, "bad", capsys, "--gripper", f"hand:{fault}")
     assert code == 3

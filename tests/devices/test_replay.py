@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli.devices.replay import ReplayCamera
+from evetac_cli.devices.cameras import ReplayCamera
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.store.files import write_stage

@@ -82,5 +82,5 @@ def test_without_slip_no_event_is_read(made: Made, tmp_path: Path, monkeypatch: 
     shutil.copy(made.recordings[0], path)
     with h5py.File(path, "r+") as h5:
         h5["truth/slip"][...] = 0
-    monkeypatch.setattr("evetac_cli.store.recordings.slip_covariates.gel_counts", lambda *_: pytest.fail("events read"))
+    monkeypatch.setattr("evetac_cli.store.recordings.onset.gel_counts", lambda *_: pytest.fail("events read"))
     assert {name for name in row_of(path) if name.startswith("slip_")} == {slip_grid.COLUMN}

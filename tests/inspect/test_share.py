@@ -1,6 +1,5 @@
 """share: folders for the Hugging Face Hub; the Hub's own library reads the cards in a slow test."""
 
-import csv
 import json
 import os
 import re
@@ -58,10 +57,8 @@ def test_model_card(made: Made, tmp_path: Path) -> None:
     """Assert that the card of a model has its data, seeds and figures, marked as simulated, and the model is there."""
     out = tmp_path / "hub"
     row = shared(made.model, out=out, license="mit")
-    assert sorted(path.name for path in out.iterdir()) == [
-        "README.md", "hist10.model.h5", "model.onnx", "training.csv",
-    ]  # fmt: skip
-    assert row["files"] == 4
+    assert sorted(path.name for path in out.iterdir()) == ["README.md", "hist10.model.h5", "model.onnx"]
+    assert row["files"] == 3
     assert row["size_bytes"] == sum(path.stat().st_size for path in out.iterdir())
     assert (out / "hist10.model.h5").read_bytes() == made.model.read_bytes()
     page = (out / "README.md").read_text()
@@ -197,20 +194,6 @@ def test_refused(case: str, trials: Path, tmp_path: Path, monkeypatch: pytest.Mo
         shared(Path(source), out=Path(out), **flags)
     assert where in refused.value.where
     assert {path for path in Path().rglob("*") if not path.name.startswith(".")} == before
-
-
-def test_course_of_a_training(made: Made) -> None:
-    """Assert that the CSV beside a model has its loss curve and its checkpoints' scores, and says simulated."""
-    with made.model.with_suffix(".csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert {row["simulated"] for row in rows} == {"yes"}
-    with StageFile(made.model) as model:
-        losses = {int(row["step"]): float(row["loss"]) for row in rows if row["loss"]}
-        assert losses == dict(zip(model.read("curve/step").tolist(), model.read("curve/loss").tolist(), strict=True))
-        scores = [float(row["validation_score"]) for row in rows if row["validation_score"]]
-        assert scores == model.read("checkpoint/score").tolist()
-        (chosen,) = [int(row["step"]) for row in rows if row["chosen"] == "1"]
-        assert chosen == model.read("checkpoint/step")[int(model.read("checkpoint/chosen"))]
 
 
 def test_the_commands_of_the_page(made: Made, trials: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -130,7 +130,7 @@ def test_limitations_are_those_of_the_files(folder: Path, hub: Path, tmp_path: P
     page = (hub / "README.md").read_text()
     assert "All trials are simulated" in page
     assert "2 trials: 1 sensor, 2 objects, 1 scene. The data cannot show" in page
-    assert "`test` has objects that are not in `train` (3) and only sensors that are also in `train`." in page
+    assert "`test` has objects that are not in `train` (3)." in page
     assert "Estimated, not measured: `dot_*_px`" in page and "by method: truth 2)" in page
     assert "2 recordings lost slices" in page
     assert all(f"`{name}`" in page for name in NOT_LIKE)

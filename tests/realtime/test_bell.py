@@ -3,8 +3,8 @@
 import multiprocessing
 
 from evetac_cli.kernels.grip.control import SlipSignal
-from evetac_cli.realtime.bell import Bell
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
+from evetac_cli.realtime.shared_time import Bell
 from tests.patience import PATIENCE_S
 
 SILENCE_S = 0.001  # after which no ring is still expected

@@ -3,14 +3,13 @@
 import multiprocessing
 import os
 import signal
-import sys
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 from evetac_cli.errors import DeviceError
-from evetac_cli.realtime.last_words import LastWords, exit_words, telling
+from evetac_cli.realtime.processes import LastWords, exit_words, telling
 from tests.patience import PATIENCE_S
 from tests.quick import few
 
@@ -75,13 +74,3 @@ def test_a_process_that_runs_has_not_ended() -> None:
     assert exit_words(process, LastWords(), patience_s=0.0) == ""
     process.kill()
     process.join()
-
-
-def test_words_outlive_an_error_of_the_child_alone() -> None:
-    """Assert that words are empty at first, and that the latest stand."""
-    words = LastWords()
-    assert words.read() == ""
-    for text in ("first, and longer", "second"):
-        words.write(text)
-        assert words.read() == text
-    assert sys.getsizeof(words) < 1000

@@ -16,7 +16,7 @@ from evetac_cli.kernels.slip.features import GelEvents
 from evetac_cli.kernels.slip.inputs import DotsAndExtras
 from evetac_cli.stages import featurize, track
 from evetac_cli.stages.slip_detectors import read_series, read_trajectory
-from evetac_cli.stages.touch.sticking_share import StickingShare
+from evetac_cli.stages.touch.touch_fold import StickingShare
 from evetac_cli.store.files import StageFile, header_of
 from evetac_cli.store.recordings.read import open_recording
 from tests import small_files

@@ -14,7 +14,7 @@ from evetac_cli.commands.label import Label
 from evetac_cli.commands.record import Record
 from evetac_cli.commands.track import Track
 from evetac_cli.commands.trim import Trim
-from evetac_cli.devices import replay
+from evetac_cli.devices import cameras
 from evetac_cli.evaluate.tracking import EvaluateTracking
 from evetac_cli.evaluate.tracking import measure as tracking
 from evetac_cli.formats.exports import export
@@ -80,7 +80,7 @@ BLOCKS = (
     (read_hdf5, "BATCH_ROWS", 1 << 13),
     (rules, "BLOCK_VALUES", 1 << 13),
     (validate, "EVENTS", 1 << 13),
-    (replay, "BLOCK_SLICES", 10),
+    (cameras, "BLOCK_SLICES", 10),
     (write_table, "BATCH_BYTES", 1 << 18),
     *CHUNKS,
 )

@@ -11,11 +11,11 @@ from evetac_cli.jobs import Job
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.solver import LIFT_PITCH_MM, Solver
 from evetac_cli.store.recordings.slip_grid import FEWEST_NODES
-from evetac_cli.trials import gel_grid, grasp
+from evetac_cli.trials import grasp
 from evetac_cli.trials.grasp.settings import SimulatedGrasp
 from evetac_cli.trials.grasp.simulated import make_recipe
 from evetac_cli.trials.part_costs import for_people
-from evetac_cli.trials.trial import Trial
+from evetac_cli.trials.trial import FINEST_MM, GRIP, Trial, nodes_of_slip
 
 OTHER = {"time": {"before_rise_s": 0.4}}
 
@@ -34,14 +34,14 @@ def solver(job: Job) -> Solver:
 def nodes_at(trial: SimulatedGrasp, pitch_mm: float) -> float:
     """The nodes of a trial's slip on another grid, with the margin."""
     scene = replace(trial.plan.scene, solver=Solver(node_pitch_mm=pitch_mm))
-    return gel_grid.nodes_of_slip(replace(trial, plan=replace(trial.plan, scene=scene)), gel_grid.GRIP)
+    return nodes_of_slip(replace(trial, plan=replace(trial.plan, scene=scene)), GRIP)
 
 
 def test_the_coarsest_grid_that_resolves_slip_is_chosen() -> None:
     """Assert that the grid of each trial resolves slip with the margin, and that a coarser one would not."""
     for trial in grasps(objects="11", count=2):
         pitch_mm = solver(trial).node_pitch_mm
-        assert gel_grid.FINEST_MM < pitch_mm < LIFT_PITCH_MM
+        assert FINEST_MM < pitch_mm < LIFT_PITCH_MM
         assert nodes_at(trial, pitch_mm) >= FEWEST_NODES > nodes_at(trial, 1.15 * pitch_mm)
 
 
@@ -50,15 +50,15 @@ def test_a_grid_that_suffices_or_cannot_be_mended_is_kept(object_: str) -> None:
     """Assert the usual grid, and so the recipe, of an object whose slip it resolves, and of one that none resolves."""
     (trial,), (named,) = grasps(objects=object_), grasps(objects=object_, node_pitch_mm=LIFT_PITCH_MM)
     assert make_recipe(trial).id == make_recipe(named).id
-    assert (gel_grid.nodes_of_slip(trial) < FEWEST_NODES) == (object_ == "18")
+    assert (nodes_of_slip(trial) < FEWEST_NODES) == (object_ == "18")
     assert not grasp.cautions([trial], Grasp())
 
 
 def test_the_finest_grid_may_do_without_the_margin() -> None:
     """Assert the finest grid for an object whose slip it resolves, but not in a tighter grip."""
     (trial,) = grasps(objects="14", seed=500)
-    assert solver(trial).node_pitch_mm == gel_grid.FINEST_MM
-    assert gel_grid.nodes_of_slip(trial) >= FEWEST_NODES > gel_grid.nodes_of_slip(trial, gel_grid.GRIP)
+    assert solver(trial).node_pitch_mm == FINEST_MM
+    assert nodes_of_slip(trial) >= FEWEST_NODES > nodes_of_slip(trial, GRIP)
 
 
 def test_a_stated_grid_wins(tmp_path: Path) -> None:

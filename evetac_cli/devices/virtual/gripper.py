@@ -34,7 +34,7 @@ from evetac_cli.devices.virtual.servo import Answer, VirtualServo
 from evetac_cli.devices.virtual.servo_plant import Obstacle, OwnDynamics, Plant, SharedPlant
 from evetac_cli.errors import DeviceError, exit_code_words
 from evetac_cli.interrupts import ignore_interrupts
-from evetac_cli.realtime.last_words import with_reason
+from evetac_cli.realtime.processes import with_reason
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.resources import PACKAGE
 

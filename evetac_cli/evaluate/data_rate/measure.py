@@ -37,9 +37,8 @@ from evetac_cli.store.files import StageFile, output_path
 from evetac_cli.store.layout.ancestry import scene_words
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings import slip_grid
-from evetac_cli.store.recordings.onset import LabelledOnset, in_short, labelled_onset
+from evetac_cli.store.recordings.onset import LabelledOnset, gel_counts, in_short, labelled_onset
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
-from evetac_cli.store.recordings.slip_covariates import gel_counts
 
 METHOD = 4
 INTERVALS = ("whole", "contact", "slip")

@@ -34,7 +34,7 @@ from evetac_cli.kernels.force.gel_forces import Forces
 from evetac_cli.kernels.force.models import CONTACT_N
 from evetac_cli.sim.setup.plan import read_sensor
 from evetac_cli.sim.setup.sensor import Sensor
-from evetac_cli.stages.force import adapt_touch, readings
+from evetac_cli.stages.force import adapt_touch
 from evetac_cli.stages.related_files import check_disjoint, recording_with_truth
 from evetac_cli.stages.touch import known_gel
 from evetac_cli.stages.touch.known_gel import SHEAR_MODULUS_PA, GelShape, GelWeights, KnownGel
@@ -200,7 +200,7 @@ def _predict(
         if name not in gels:
             own = by_sensor.get(name, [])
             gels[name] = _gels(name, known_sensor(recording), folds, own, identified.get(name), params)
-        at = slice(None, None, readings.EVERY)
+        at = slice(None, None, adapt_touch.EVERY)
         predicted, touches = {}, {}
         for state, gel in gels[name].items():
             over = folds.of(gel, tracks)

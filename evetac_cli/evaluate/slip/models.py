@@ -48,9 +48,8 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.ancestry import TRAINING
 from evetac_cli.store.layout.provenance import Header
-from evetac_cli.store.recordings.onset import abstains
+from evetac_cli.store.recordings.onset import abstains, covariates_of_truth
 from evetac_cli.store.recordings.read import open_recording
-from evetac_cli.store.recordings.slip_covariates import covariates_of_truth
 
 AT_ONCE = 8  # trajectories per parallel task
 MOST_SLICES = 1 << 17  # in memory at once; trajectories of hours are split

@@ -38,8 +38,6 @@ class ColumnTimes:
         self._where, self._unit, self._guess, self._documented = where, unit, guess, documented
         self._guessed = unit is None
         self._clock: Clock | None = None
-        self._step_us = 0.0  # the coarsest resolution of the number type so far
-        self._declared_step = ""
         self._thousands = True  # all times are multiples of a thousand
         self._first: Any = None
 
@@ -117,8 +115,6 @@ class ColumnTimes:
         note = f"{t.dtype} times near {float(most) * self._unit / 1e6:.9g} s have steps of {_in_us(step_us)}"
         if step_us > SLICE_US:
             raise InputError("the times are too coarse", where=self._where, expected="1 ms or finer", found=note)
-        if step_us > max(1.0, self._step_us):
-            self._step_us, self._declared_step = step_us, note
 
     def check(self, events: int, span_us: float, frame_px: tuple[int, int], lit_hz_us: float) -> None:
         """Raise InputError if the unit is a guess that is implausible, or if another unit is more plausible.
@@ -148,9 +144,8 @@ class ColumnTimes:
 
     @property
     def notes(self) -> list[str]:
-        """Notes on clock wraps, and on the resolution of the times if it is coarse."""
-        coarse = [self._declared_step] if self._declared_step else []
-        return [*coarse, *(self._clock.notes if self._clock else [])]
+        """Notes on clock wraps."""
+        return self._clock.notes if self._clock else []
 
 
 class _Reading:

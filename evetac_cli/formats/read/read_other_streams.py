@@ -19,11 +19,12 @@ from evetac_cli.formats.read.bags.host_clock import host_clock, on_sensor_clock
 from evetac_cli.formats.read.bags.read_bag_stream import (
     COMPRESSED,
     IMAGE,
+    RECEPTION,
     TRIGGERS_OF_DV,
     read_triggers,
     stream_of_topic,
 )
-from evetac_cli.formats.read.bags.read_rosbag import RECEPTION, topics_of_events
+from evetac_cli.formats.read.bags.read_rosbag import topics_of_events
 from evetac_cli.store.hdf5.disk import joined_on_disk
 from evetac_cli.store.recordings.streams import Stream, free_name
 

@@ -7,8 +7,8 @@ becomes a column per element. Columns that are not numbers are left out, and a n
 
 Text of CSV is UTF-8, UTF-16 with its mark, or else Latin-1. The separator is the one by which the first rows have as
 many cells as the line of names. A separator at the end of each line adds a column without a name; it may be missing in
-the line of names. The decimal sign is a comma if the first part of the file has numbers with commas and none with
-points.
+the line of names. With another separator than the comma, the decimal sign is a comma if the first part of the file has
+numbers with commas and none with points.
 """
 
 import codecs
@@ -39,8 +39,7 @@ MOST_US = 1 << 60  # 36,000 years: the sum of two such times does not overflow
 MOST_S = MOST_US // 10**6
 NAMED_LEFT_OUT = 5
 YEARS_S = (946_684_800, 4_102_444_800)  # the years 2000 to 2100 in Unix time
-# Sense of times with fractions whose unit is not stated. In seconds: shorter steps are a rate that a device has.
-SHORT_STEP, LONG_STEP = 0.05, 1.0
+SHORT_STEP = 0.05  # of times with fractions whose unit is not stated: in seconds, a rate that a device has
 MOST_LENGTHS = 30  # a table is at most this many times as long as the recording
 EPISODES = "episode_index"  # of LeRobot
 MOST_HEAD_BYTES = 1 << 16  # of the line of names
@@ -70,18 +69,11 @@ def read_table(path: Path, folder: Path | None, length_s: float = math.inf) -> t
         names, types, batches_of, notes = _parquet(place) if is_parquet(path) else _csv(place, where)
         if len(names) > MOST_COLUMNS:
             raise _too_wide(len(names), where)
-        unset: list[int] = []
-        while True:
-            times = find_times(names, types, where, unset)
-            for at in times.columns:
-                if not is_time(types[at]):
-                    what = f"{times.clock} of type {types[at]}"
-                    raise InputError("the times are not numbers", where=where, found=what)
-            tried = not times.others or times.columns[0] in unset
-            if tried or not _never_set(batches_of(times.columns, where)):
-                break
-            notes.append(f"{times.clock} is 0 or empty in all rows, so never set")
-            unset += times.columns
+        times = find_times(names, types, where)
+        for at in times.columns:
+            if not is_time(types[at]):
+                what = f"{times.clock} of type {types[at]}"
+                raise InputError("the times are not numbers", where=where, found=what)
         numbers = [
             at
             for at, kind in enumerate(types)
@@ -97,6 +89,10 @@ def read_table(path: Path, folder: Path | None, length_s: float = math.inf) -> t
         t_us, *values = joined_on_disk(folder, map(read.batch, batches)) or (np.empty(0, np.int64),)
     if not len(t_us):
         raise InputError("the table has no rows", where=where)
+    others = [names[at] for at in times.others]
+    if others and len(t_us) > 1 and (t_us == 0).all():
+        hint = f"remove this column to use {_some(others)}"
+        raise InputError("the times are all 0, so never set", where=where, found=times.clock, hint=hint)
     columns: dict[str, NDArray[np.float64]] = {}
     units = {}
     for stated, column in zip(read.columns, values, strict=True):
@@ -105,7 +101,6 @@ def read_table(path: Path, folder: Path | None, length_s: float = math.inf) -> t
         columns[name], units[name] = column, unit
     if EPISODES in columns:
         _refuse_episodes(t_us, columns[EPISODES], where)
-    others = [names[at] for at in times.others]
     notes += [f"other times, which were not used: {_some(others)}"] if others else []
     others = [
         name
@@ -114,18 +109,6 @@ def read_table(path: Path, folder: Path | None, length_s: float = math.inf) -> t
     ]
     notes += [f"left out: {_some(others)}, which {'are' if len(others) > 1 else 'is'} not numeric"] if others else []
     return Stream("", t_us, columns, units=units, source=path.name, clock=read.clock), notes
-
-
-def _never_set(batches: Iterator[Any]) -> bool:
-    """Whether columns of times have several rows, and in each 0 or nothing."""
-    rows = 0
-    for batch in batches:
-        rows += batch.num_rows
-        for column in batch.columns:
-            ticks = column.view(f"int{column.type.bit_width}") if has_unit(column.type) else column
-            if np.nan_to_num(_floats(ticks)).any():
-                return False
-    return rows > 1
 
 
 def _floats(column: Any) -> NDArray[np.float64]:
@@ -266,11 +249,7 @@ class _Rows:
 
 
 def _guess(values: NDArray[Any], length_s: float, where: str, clock: str) -> str:
-    """Guess the unit of times: of dates by their size, of times with fractions by their steps; else InputError.
-
-    Fractions are seconds, unless the table would be much longer than the recording and its steps over a second: then
-    milliseconds, if these fit the recording.
-    """
+    """Guess the unit of times: of dates by their size; fractions are seconds if these fit the recording."""
     first = abs(float(values[0]))
     for unit, ticks in TICKS_S.items():
         if YEARS_S[0] * ticks <= first < YEARS_S[1] * ticks:
@@ -278,11 +257,8 @@ def _guess(values: NDArray[Any], length_s: float, where: str, clock: str) -> str
     if values.dtype.kind == "f" and first < YEARS_S[0] and (values != np.rint(values)).any():
         steps = np.diff(values)
         step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-        lengths = float(values[-1] - values[0]) / length_s
-        if step <= SHORT_STEP or lengths <= MOST_LENGTHS:
+        if step <= SHORT_STEP or float(values[-1] - values[0]) <= MOST_LENGTHS * length_s:
             return "s"
-        if step > LONG_STEP and lengths <= MOST_LENGTHS * TICKS_S["ms"]:
-            return "ms"
     hint = "name the column t_s, t_ms, t_us or t_ns"
     raise InputError("the unit of time is unclear", where=where, found=f"{clock}: {values[0]}", hint=hint)
 
@@ -353,14 +329,14 @@ def _dialect(path: Path, where: str) -> Dialect:
         more = len(_cells(lines[0], separator)) - len(names)
         names = [*names, ""] if more == 1 and lines[0].endswith(separator) else names
         names = names[:-1] if more == -1 and not names[-1].strip() else names
-    return Dialect(encoding, separator, _decimal_sign("\n".join(["", *lines, ""]), separator), names)
+    return Dialect(encoding, separator, _decimal_sign(lines, separator), names)
 
 
-def _decimal_sign(rows: str, separator: str) -> str:
+def _decimal_sign(lines: list[str], separator: str) -> str:
     """Return the decimal sign of numbers in rows; a point if both or none occur."""
-    edges = {sign: f'["\n{re.escape(separator)}]' if sign != separator else '"' for sign in ".,"}
+    cells = [cell.strip() for line in lines for cell in line.split(separator)]
     is_found = {
-        sign: re.search(rf"{edge}\s*[-+]?\d*\{sign}\d+(?:[eE][-+]?\d+)?\s*{edge}", rows) for sign, edge in edges.items()
+        sign: any(re.fullmatch(rf"[-+]?\d*\{sign}\d+(?:[eE][-+]?\d+)?", cell) for cell in cells) for sign in ".,"
     }
     return "," if is_found[","] and not is_found["."] else "."
 

@@ -6,7 +6,7 @@ then a stamp, then any other; a time of reception is the last resort.
 """
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
@@ -52,11 +52,8 @@ class _Candidate(NamedTuple):
     unit: str
 
 
-def find_times(names: Sequence[str], types: Sequence[Any], where: str, unset: Collection[int] = ()) -> Times:
-    """Return the columns of times, found by name, or by a type that is a time; raise InputError if there are none.
-
-    unset: columns that are used only if there is no other.
-    """
+def find_times(names: Sequence[str], types: Sequence[Any], where: str) -> Times:
+    """Return the columns of times, found by name, or by a type that is a time; raise InputError if there are none."""
     plain = [name_and_unit(name) for name in names]
     candidates = []
     parts: dict[str, dict[str, int]] = {}
@@ -79,7 +76,7 @@ def find_times(names: Sequence[str], types: Sequence[Any], where: str, unset: Co
     if not candidates:
         expected, found = f"a column named {NAMES}", ", ".join(names)[:200]
         raise InputError("the table has no column of times", where=where, expected=expected, found=found)
-    best = min(one._replace(is_unusable=one.is_unusable or one.columns[0] in unset) for one in candidates)
+    best = min(candidates)
     clock = " and ".join(plain[at][0] for at in best.columns) or "without a name"
     stated = f", in {best.unit}" if best.unit and len(best.columns) == 1 else ""
     others = [at for one in candidates for at in one.columns if at not in best.columns]

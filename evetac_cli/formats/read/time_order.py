@@ -20,7 +20,6 @@ from evetac_cli.events import SLICE_US, Events, concatenate
 MOST_RESTARTS = 1000  # with more, a file counts as unsorted, and its parts are no longer counted
 FEW_LATE = 0.02  # share of late events up to which the hint proposes dropping them first
 MOST_SHOWN = 4  # restarts listed in a message
-MOST_WAITING = 1 << 23  # events within 1 ms that are kept in memory; the fastest camera has 1 million
 
 Placed = tuple[Events, Callable[[int], str]]  # events, and a function that describes the position of row i in the file
 
@@ -70,7 +69,6 @@ class TimeOrder:
         self._late = 0  # events at least 1 ms late, in any part
         self.small = 0  # events less than 1 ms late, or with `sort` late by any time
         self.back_us = 0  # the largest delay of these events
-        self._crowded = False  # more events within 1 ms than are kept in memory
 
     @property
     def unsorted(self) -> bool:
@@ -81,7 +79,7 @@ class TimeOrder:
     def refused(self) -> bool:
         """Whether the events so far cannot be used with these options."""
         options = self._options
-        return self._crowded or (bool(self._restarts) and (options.from_restart is None or self.unsorted))
+        return bool(self._restarts) and (options.from_restart is None or self.unsorted)
 
     def ordered(self, parts: Iterable[Placed]) -> Iterator[Events]:
         """Yield the events that the options keep; in time order, unless the caller sorts or refuses them."""
@@ -143,7 +141,6 @@ class TimeOrder:
     def _in_order(self, pieces: Iterable[Events]) -> Iterator[Events]:
         """Sort events that are less than 1 ms late; events with the same time keep their order."""
         waiting: list[Events] = []  # pieces that are sorted, and follow each other in time
-        count = 0
         for judged in pieces:
             piece = judged if (judged.t[1:] >= judged.t[:-1]).all() else _sorted(judged)
             first_us = int(piece.t[0])
@@ -151,24 +148,14 @@ class TimeOrder:
             while waiting and waiting[-1].t[-1] > first_us:
                 overtaken.append(waiting.pop())
             waiting.append(_sorted(concatenate([*reversed(overtaken), piece])) if overtaken else piece)
-            count += piece.size
             assert self._latest_us is not None
             while waiting[0].t[-1] <= self._latest_us - SLICE_US:
-                count -= waiting[0].size
                 yield waiting.pop(0)
-            if count > MOST_WAITING:
-                self._crowded = True
-                return
         yield from waiting
 
     def refuse(self, where: str) -> None:
         """Raise InputError if the events cannot be used with these options."""
         wanted = self._options.from_restart
-        if self._crowded:
-            found = f"more near {(self._top_us or 0) / 1e6:.6f} s"
-            hint = "are these times right? --sort imports them as they are"
-            message, expected = "more events within 1 ms than any camera sends", f"at most {MOST_WAITING:,}"
-            raise InputError(message, where=where, expected=expected, found=found, hint=hint)
         if self.refused:
             message, expected = "time goes backwards", "events in order of time, at most 1 ms late"
             raise InputError(message, where=where, expected=expected, found=self._steps(), hint=self._hint())

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICE_US
+from evetac_cli.store.data_set import describe
 from evetac_cli.store.files import StageFile, stem
-from evetac_cli.store.index import NOT_THERE, describe
 from evetac_cli.store.layout import schema
 from evetac_cli.store.layout.schema import Dataset
 from evetac_cli.store.recordings import streams
@@ -74,7 +74,7 @@ class TrialFiles(NamedTuple):
 
     def _described(self, kind: str) -> Any:
         path = self.by_kind[kind].path
-        return describe(path.parent, path.name, *NOT_THERE)
+        return describe(path.parent, path.name)
 
 
 Opener = Callable[[Path], AbstractContextManager[TrialFiles]]

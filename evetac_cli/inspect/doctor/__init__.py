@@ -1,5 +1,6 @@
 """doctor: find faults of cameras, grippers and this installation, and print the command that fixes each.
 
+What drivers set or refuse when they open a device, such as supply and temperature of a gripper, is not repeated here.
 It only reads: it writes no register, no setting and no file. A gripper's baud rate or an adapter's timer changes only
 when the user runs the printed command.
 """
@@ -14,18 +15,11 @@ from evetac_cli.commands.doctor import Doctor
 from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.devices.grippers import BAUD, ID, NamedGripper, Serial, parse_port
 from evetac_cli.devices.probe import FTDI, Host, SerialPort
-from evetac_cli.devices.rh_p12_rn.control_table import (
-    BEYOND_TICKS,
-    MODEL_NUMBER,
-    OLD_MODEL_NUMBER,
-    RETURN_DELAY_US,
-    hardware_errors,
-)
+from evetac_cli.devices.rh_p12_rn.control_table import MODEL_NUMBER, OLD_MODEL_NUMBER, hardware_errors
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import BusDevice
 from evetac_cli.errors import EXTRAS, DeviceError, InputError, install_hint, pip
 from evetac_cli.formats import exports, imports
-from evetac_cli.inspect.doctor.cameras import camera_rows, end_program
-from evetac_cli.inspect.doctor.checks import check, show
+from evetac_cli.inspect.doctor.cameras import camera_rows, check, end_program, show
 from evetac_cli.inspect.doctor.udev import INSTALL_RULES, JOIN
 from evetac_cli.jobs import Looking, Outcome, Row
 from evetac_cli.kernels.grip.control import PluginLaw
@@ -246,24 +240,9 @@ def _gripper(host: Host, path: Path, gripper: BusDevice) -> Iterator[Row]:
         return
     yield check(name, "flag", True, _flag(path, gripper))
     registers = host.registers(path, gripper)
-    delay_us = registers["Return Delay Time"] * RETURN_DELAY_US
-    fix = f"evetac record {_flag(path, gripper)} sets it to 0 when it opens the gripper"
-    yield check(name, "return delay", delay_us == 0, f"{delay_us} us", "0 us", fix)
     errors = hardware_errors(registers["Hardware Error Status"])
     fix = "remove the cause, then switch the gripper's 24 V off and on"
     yield check(name, "hardware error", not errors, ", ".join(errors) or "none", "none", fix)
-    volts = [registers[f"{which} Voltage Limit"] / 10 for which in ("Min", "Max")]
-    present = registers["Present Input Voltage"] / 10
-    within = volts[0] <= present <= volts[1]
-    fix = "check the 24 V supply"
-    yield check(name, "supply", within, f"{present:.1f} V", f"{volts[0]:.1f} to {volts[1]:.1f} V", fix)
-    cool = registers["Present Temperature"] < registers["Temperature Limit"]
-    limit = f"below {registers['Temperature Limit']} C"
-    yield check(name, "temperature", cool, f"{registers['Present Temperature']} C", limit, "let it cool down")
-    ticks, low, high = (registers[which] for which in ("Present Position", "Min Position Limit", "Max Position Limit"))
-    in_range = low - BEYOND_TICKS <= ticks <= high + BEYOND_TICKS
-    fix = "switch the gripper's 24 V off and on; if it happens again, the gripper is damaged"
-    yield check(name, "position", in_range, f"{ticks:,} ticks", f"{low} to {high} ticks, or slightly beyond", fix)
     off = registers["Torque Enable"] == 0
     fix = "end the program that drives the gripper, or it was left on by one that has ended"
     yield check(name, "torque", True if off else None, "off" if off else "on", "off while no program uses it", fix)

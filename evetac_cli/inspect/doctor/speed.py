@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.errors import EvetacError, InputError, attached_outcome
 from evetac_cli.events import FRAME_PX
-from evetac_cli.inspect.doctor.checks import check, show
+from evetac_cli.inspect.doctor.cameras import check, show
 from evetac_cli.jobs import Looking, Outcome, Progress, Row, silent
 from evetac_cli.realtime.processes import REALTIME, raised_priority
 from evetac_cli.trials.grasp.controller_process import PRIORITY
@@ -48,7 +48,6 @@ NEXT_PER_S = {  # rate -> (next rate if it was too much, next rate if it was fin
 }
 SECONDS = 10.0
 MOST_LATE = 0.01
-TOUCH_S = 1.5  # duration of the scene's contact, before the phases that have flags
 DOTS_PX = np.stack(np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0), axis=-1)
 GRID = {"frame_px": FRAME_PX, "dot_xy_px": DOTS_PX.tolist(), "radius_px": 11.0}  # as written by `calibrate`
 FEWER = "reduce events with evetac record --readout-rate, --threshold-on, --threshold-off; use a smaller --model"
@@ -141,7 +140,7 @@ class Computer:
         with tempfile.TemporaryDirectory(dir=folder, prefix=".speed-") as temporary:
             grid = Path(temporary) / "grid.json"
             grid.write_text(json.dumps(GRID))
-            half_s = (seconds - TOUCH_S) / 2
+            half_s = (seconds - real_time.TOUCH_S) / 2
             params = Grasp(
                 camera=f"virtual:prepared={events_per_s}",
                 gripper="virtual",

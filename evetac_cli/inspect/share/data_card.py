@@ -14,8 +14,8 @@ from evetac_cli.formats.write.hub_card import Card, card_fields, inline, opening
 from evetac_cli.formats.write.write_table import load_pyarrow, write_data_set
 from evetac_cli.inspect.share.sections import SharedTrial, citation, limitations, look, made_with, trials_of
 from evetac_cli.jobs import Progress
+from evetac_cli.store.data_set import FileRow, foreign_note, read_data_set
 from evetac_cli.store.hdf5.disk import utf8_path
-from evetac_cli.store.index import IndexRow, read_index
 
 MOST_LISTED = 20  # objects or sensors
 TABLES = "tables"
@@ -40,9 +40,9 @@ of a split; from the Hub, `datasets.load_dataset("NAME")` reads all of them."""
 
 def describe(folder: Path, params: Share, progress: Progress) -> Card:
     """Return the card of a folder of stage files; InputError if one is unreadable."""
-    index = read_index(folder, progress)
-    passed_over = index.foreign_note
-    rows = [row for row in index.rows if row.kind is not None or row.error is not None]
+    every = read_data_set(folder, progress)
+    passed_over = foreign_note(every)
+    rows = [row for row in every if row.kind is not None or row.error is not None]
     broken = next((row for row in rows if row.error is not None), None)
     if broken is not None:
         hint = "move the file out of the folder, or make it again"
@@ -87,7 +87,7 @@ def describe(folder: Path, params: Share, progress: Progress) -> Card:
         *([READ_TABLES.replace("SPLIT", splits[0])] if splits else []),
         *(limitations(contents, list(trials.values()), split) if trials else []),
         *citation(params.author, "data set"),
-        *made_with(contents.versions, contents.formats),
+        *made_with(),
     ]
     notes = "; ".join(filter(None, (passed_over, note)))
     return Card(
@@ -118,7 +118,7 @@ def _write(trials: Sequence[SharedTrial], folder: Path, progress: Progress) -> s
     return f"not in the tables: {left_out[0]}{more}" if left_out else ""
 
 
-def _figures(trials: Sequence[IndexRow]) -> dict[str, Any]:
+def _figures(trials: Sequence[FileRow]) -> dict[str, Any]:
     return {
         "trials": len(trials),
         "duration_s": sum(row.slices or 0 for row in trials) / SLICES_PER_S,
@@ -126,7 +126,7 @@ def _figures(trials: Sequence[IndexRow]) -> dict[str, Any]:
     }
 
 
-def _listed(trials: Sequence[IndexRow], name: str) -> str:
+def _listed(trials: Sequence[FileRow], name: str) -> str:
     """Return the values of a column with their number of trials; many numbers as a range."""
     counts = Counter(value for trial in trials if (value := getattr(trial, name)) is not None)
     if len(counts) > MOST_LISTED and all(isinstance(value, int) for value in counts):

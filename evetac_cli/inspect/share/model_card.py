@@ -11,7 +11,6 @@ from evetac_cli.formats.write.hub_card import Card, card_fields, inline, opening
 from evetac_cli.inspect import info, validate
 from evetac_cli.inspect.share.sections import UNLIKE, citation, made_with
 from evetac_cli.stages.model_files import why_useless
-from evetac_cli.stages.train.plan import course
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.ancestry import EARLIER
 from evetac_cli.store.layout.provenance import Header
@@ -35,16 +34,14 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
         raise InputError("an invalid model cannot be shared", where=str(path), found=checked["faults"], hint=hint)
     with StageFile(path) as file:
         header, what = file.header, WHAT[file.kind]
-        written = {"training.csv": course(file).encode()} if file.kind == "model" else {}
-        if file.has("onnx"):
-            written["model.onnx"] = file.read("onnx").tobytes()
+        written = {"model.onnx": file.read("onnx").tobytes()} if file.has("onnx") else {}
         score = (
             float(file.read("checkpoint/score")[int(file.read("checkpoint/chosen"))])
             if file.has("checkpoint")
             else None
         )
         why = why_useless(file) if file.kind == "model" else ""
-    note, creation = f"{path} is not a slip detector: {why}" if why else "", header.get("made", {})
+    note = f"{path} is not a slip detector: {why}" if why else ""
     simulated = bool(header["simulated"])
     figures = {name: value for name, value in row.items() if name not in NOT_SHOWN and value is not None}
     if score is not None:
@@ -72,9 +69,7 @@ def describe(path: Path, reports: Sequence[Path], params: Share) -> Card:
         "## Files",
         FILES.format(name=inline(path.name)) + (OTHER_FILES if row["kind"] == "model" else ""),
         *citation(params.author, what),
-        *made_with(
-            [str(creation["evetac"])[:20]] if "evetac" in creation else [], {row["kind"]: [str(header["version"])]}
-        ),
+        *made_with(),
     ]
     written[path.name] = path.read_bytes()  # not a link: a copy of a model is small, and may be changed
     return Card(what, title, simulated, fields, [part for part in page if part], {}, written, note)
@@ -93,8 +88,7 @@ FILES = (
     "- `{name}`: the model; `evetac info` shows it, `evetac grasp --model` and `evetac evaluate slip --model` use it"
 )
 OTHER_FILES = """
-- `model.onnx`: the same network for ONNX runtime
-- `training.csv`: loss and validation scores over the training steps"""
+- `model.onnx`: the same network for ONNX runtime"""
 
 
 def _data(header: Header) -> Iterator[dict[str, Any]]:

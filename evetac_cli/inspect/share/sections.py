@@ -1,4 +1,4 @@
-"""The sections of cards: the splits of a data set, its limitations, how to cite it, and the versions of its files.
+"""The sections of cards: the splits of a data set, its limitations, and how to cite it.
 
 The limitations are made from the files: how much is simulated, what they cover, what is estimated. No author is
 invented: the authors of the paper are those of CITATION.cff, and those of a data set or model are given by the person
@@ -6,7 +6,7 @@ who shares it, or not named.
 """
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 from evetac_cli.formats.write.hub_card import inline
 from evetac_cli.jobs import Progress
 from evetac_cli.names import __version__
+from evetac_cli.store.data_set import FileRow
 from evetac_cli.store.files import StageFile, stem
-from evetac_cli.store.index import IndexRow
 from evetac_cli.text_files import as_utf8
 
 # The Hub's names of splits, and the names of folders: those that the Hub recognizes, and those in evetac's docs.
@@ -63,7 +63,7 @@ class SharedTrial(NamedTuple):
     source: Path
 
 
-def trials_of(folder: Path, recordings: Sequence[IndexRow]) -> list[SharedTrial]:
+def trials_of(folder: Path, recordings: Sequence[FileRow]) -> list[SharedTrial]:
     """Return the recordings of a folder with their splits; all are `train` if no folder names a split.
 
     If some are in such folders, the others get the split `other`.
@@ -84,8 +84,8 @@ def split_of(path: str) -> str | None:
     return next((split_by_name[part.lower()] for part in Path(path).parts[:-1] if part.lower() in split_by_name), None)
 
 
-def held_out(rows: Sequence[tuple[str, IndexRow]]) -> str:
-    """Return a text on the splits of (split, recording): the objects and sensors that training data lack."""
+def held_out(rows: Sequence[tuple[str, FileRow]]) -> str:
+    """Return a text on the splits of (split, recording): the objects that training data lack."""
     splits = list(dict.fromkeys(split for split, _ in rows))
     if len(splits) < 2:
         return (
@@ -93,20 +93,11 @@ def held_out(rows: Sequence[tuple[str, IndexRow]]) -> str:
             " whole objects, because trials of the same object are similar."
         )
     sentences = []
+    learned = _known_objects(rows, "train")
     for name in ("validation", "test"):
-        if name not in splits or "train" not in splits:
-            continue
-        parts = []
-        for what in ("object", "sensor"):
-            mine, learned = (_known_values(rows, split, what) for split in (name, "train"))
-            only = sorted(mine - learned, key=lambda value: (isinstance(value, str), value))
-            if not mine:
-                parts.append(f"unknown {what}s")
-            elif only:
-                parts.append(f"{what}s that are not in `train` ({', '.join(map(str, only))})")
-            else:
-                parts.append(f"only {what}s that are also in `train`")
-        sentences.append(f"`{name}` has {' and '.join(parts)}.")
+        only = sorted(_known_objects(rows, name) - learned, key=lambda value: (isinstance(value, str), value))
+        if learned and only:
+            sentences.append(f"`{name}` has objects that are not in `train` ({', '.join(map(str, only))}).")
     ids = [{row.recipe_id for split, row in rows if split == one} for one in splits]
     twice = len(set().union(*(a & b for at, a in enumerate(ids) for b in ids[at + 1 :])))
     if twice:
@@ -114,44 +105,39 @@ def held_out(rows: Sequence[tuple[str, IndexRow]]) -> str:
     return " ".join(sentences) or f"The splits are {', '.join(splits)}."
 
 
-def _known_values(rows: Sequence[tuple[str, IndexRow]], split: str, what: str) -> set[int | str]:
-    return {value for one, row in rows if one == split and (value := getattr(row, what)) is not None}
+def _known_objects(rows: Sequence[tuple[str, FileRow]], split: str) -> set[int | str]:
+    return {row.object for one, row in rows if one == split and row.object is not None}
 
 
 @dataclass
 class DataSetFacts:
     """Facts from the headers and a few datasets of all files of a folder."""
 
-    formats: dict[str, set[str]] = field(default_factory=dict)  # kind -> numbers of its format
-    versions: set[str] = field(default_factory=set)  # of evetac
     how: dict[str, Counter[str]] = field(default_factory=dict)  # kind -> estimator -> number of files
     abstained: int = 0  # labels that could not identify an onset
     with_losses: int = 0  # recordings with lost slices
 
     def add(self, file: StageFile) -> None:
         """Add the facts of a file."""
-        header, creation = file.header, file.header.get("made", {})
-        self.formats.setdefault(file.kind, set()).add(str(header["version"]))
-        if isinstance(creation.get("evetac"), str):
-            self.versions.add(creation["evetac"][:20])
         if file.kind in ESTIMATED:
-            how = str(header["parameters"].get(HOW.get(file.kind, ""), "unknown"))[:40]
+            how = str(file.header["parameters"].get(HOW.get(file.kind, ""), "unknown"))[:40]
             self.how.setdefault(file.kind, Counter())[how] += 1
         self.abstained += file.kind == "labels" and file.has("abstained") and int(file.read("abstained"))
         self.with_losses += file.has("capture/lost_slices") and file.length("capture/lost_slices") > 0
 
 
-def look(folder: Path, rows: Sequence[IndexRow], progress: Progress) -> DataSetFacts:
+def look(folder: Path, rows: Sequence[FileRow], progress: Progress) -> DataSetFacts:
     """Open all files of a folder and return their facts."""
     contents = DataSetFacts()
     for number, row in enumerate(rows):
         progress(number, len(rows), "files")
         with StageFile(folder / row.path) as file:
+            file.check()  # a damaged file must not be shared
             contents.add(file)
     return contents
 
 
-def limitations(contents: DataSetFacts, trials: Sequence[IndexRow], split: Sequence[tuple[str, IndexRow]]) -> list[str]:
+def limitations(contents: DataSetFacts, trials: Sequence[FileRow], split: Sequence[tuple[str, FileRow]]) -> list[str]:
     """Return the section Limitations of a card.
 
     trials: a row for each trial; split: each recording with its part of the data set.
@@ -207,9 +193,6 @@ def citation(author: str | None, what: str) -> list[str]:
     return ["## Citation", "The paper on the sensor and the methods:", PAPER, authors]
 
 
-def made_with(versions: Collection[str], formats: Mapping[str, Collection[str]]) -> list[str]:
-    """Return the section Version of a card: evetac versions of card and files, and format numbers."""
-    file_versions = f", files by evetac {', '.join(sorted(versions))}" if versions else ""
-    kinds = ", ".join(f"{kind} {' and '.join(sorted(of))}" for kind, of in sorted(formats.items()))
-    listed = f" Format numbers of the files (`schemas/` in evetac): {kinds}." if kinds else ""
-    return ["## Version", f"Card written by evetac {__version__}{file_versions}.{listed}"]
+def made_with() -> list[str]:
+    """Return the section Version of a card."""
+    return ["## Version", f"Card written by evetac {__version__}."]

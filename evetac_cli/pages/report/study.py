@@ -20,8 +20,8 @@ from evetac_cli.kernels.slip import metrics
 from evetac_cli.pages.shared import LARGEST_BYTES
 from evetac_cli.pages.view.event_images import picture
 from evetac_cli.stages.related_files import UNKNOWN_SENSOR, RecordedSensor, sensor_names, sensor_of
+from evetac_cli.store.data_set import FileRow, foreign_note, read_data_set
 from evetac_cli.store.files import StageFile, stem
-from evetac_cli.store.index import IndexRow, read_index
 from evetac_cli.store.layout.ancestry import recording_of
 from evetac_cli.store.recordings.onset import labelled_onset
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
@@ -70,7 +70,7 @@ class StudyTrial:
     """One trial of a data set, with results from its files and the reports; None for missing ones."""
 
     recording_id: str
-    row: IndexRow  # index row of its recording, else of another of its files
+    row: FileRow  # of its recording, else of another of its files
     files: dict[str, str]  # kind -> path relative to the folder
     events: int | None = None
     has_truth: bool = False
@@ -143,11 +143,11 @@ class Study:
 
 def read_study(folder: Path, progress: Progress) -> Study:
     """Search a folder; raise InputError if it contains no file of evetac."""
-    if next(folder.rglob("*.h5"), None) is None:  # checked first: no index is written into an unrelated folder
+    if next(folder.rglob("*.h5"), None) is None:
         others = sum(1 for path in folder.iterdir() if not path.name.startswith("."))
         raise _nothing(folder, f"{others} other files and folders" if others else "an empty folder")
-    index = read_index(folder, progress)
-    rows, passed_over = index.rows, index.foreign_note
+    rows = read_data_set(folder, progress)
+    passed_over = foreign_note(rows)
     files = Counter(row.kind for row in rows if row.kind is not None)
     unreadable = [(row.path, row.error) for row in rows if row.error is not None]
     if not files:
@@ -160,7 +160,7 @@ def read_study(folder: Path, progress: Progress) -> Study:
     for row in rows:
         if row.kind == "report":
             _read_report(study, row.path)
-    groups: dict[str, dict[str, IndexRow]] = {}
+    groups: dict[str, dict[str, FileRow]] = {}
     several: Counter[str] = Counter()
     for row in rows:
         if row.recording is None or row.kind is None or row.kind not in OF_TRIAL:

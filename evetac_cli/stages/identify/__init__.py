@@ -66,8 +66,8 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
                 rests.append(pressed.longest_rest(recording, noise_rng))
                 others.append((path, press_rng))
         progress(number + 1, steps)
-    rest = max((one for one in rests if one), key=lambda one: one.noise.duration_s, default=None)
-    noise_hz = rest.noise.noise_hz.value if rest else 0.0
+    rest = max((one for one in rests if one), key=lambda one: one[0].duration_s, default=None)
+    noise_hz = rest[0].noise_hz.value if rest else 0.0
     presses, no_press = [], {}
     for number, (path, press_rng) in enumerate(others):
         with open_recording(path) as recording:
@@ -82,10 +82,7 @@ def run(job: Job, params: Identify, *, force: bool = False, progress: Progress =
     why_none = no_press[max(no_press)] if no_press else ""  # of the recording with most events, as a press has
     more_rows, more = pressed.rows(best, like, why_none)
     rows, values = rows + more_rows, more | values
-    priors = gripper_rows.Priors(
-        params.object_mass_g, params.object_friction, params.force_per_current, params.pixel_mm is not None
-    )
-    more_rows, more = gripper_rows.rows([one for one in grips if one is not None], priors, like)
+    more_rows, more = gripper_rows.rows([one for one in grips if one is not None], params, like)
     rows, values = rows + more_rows, values | more
     if params.pixel_mm is not None:
         values["mm_per_px"] = Entry(mm_per_px, None, "as given")

@@ -9,12 +9,13 @@ releases at the same currents.
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from evetac_cli.arrays import Floats
+from evetac_cli.commands.identify import Identify
 from evetac_cli.kernels.estimates import LEVEL, Estimate
 from evetac_cli.sim import gripper
 from evetac_cli.sim.setup.sensor import Sensor
@@ -50,21 +51,15 @@ DELAY_MS, JITTER_MS = 3.5, 2.0  # widest intervals that are still informative
 TWO_TICKS_N = 0.13
 
 
-class Priors(NamedTuple):
-    """Prior knowledge in addition to the recordings; None if unknown."""
+def rows(grips: Sequence[Gripped], priors: Identify, like: Sensor) -> tuple[list[EstimateRow], dict[str, Entry]]:
+    """Return rows and keys of gripper, gel and friction from recordings and the prior knowledge given by flags.
 
-    object_mass_g: float | None
-    object_friction: float
-    force_per_current_n_ma: float | None
-    scale_given: bool
-
-
-def rows(grips: Sequence[Gripped], priors: Priors, like: Sensor) -> tuple[list[EstimateRow], dict[str, Entry]]:
-    """Return rows and keys of gripper, gel and friction; `like` is the sensor with the values of all other keys."""
+    like: the sensor with the values of all other keys.
+    """
     tells, known_parts = merged(grips)
     source = {part: one.source for part, one in tells.items()}
     usual = gripper.make_drive(like.gripper)
-    scale_n_ma = priors.force_per_current_n_ma or usual.force_per_current_n_ma
+    scale_n_ma = priors.force_per_current or usual.force_per_current_n_ma
     listed: list[EstimateRow] = []
     keys: dict[str, Any] = {}
     if known_parts.drive is not None:
@@ -90,7 +85,7 @@ def rows(grips: Sequence[Gripped], priors: Priors, like: Sensor) -> tuple[list[E
     gain = known_parts.gain_ma_tick
     gain_from = source.get("gain_ma_tick", misfits.get("gain", MAKE_GRASP))
     listed.append(EstimateRow("gripper: servo gain", "mA/tick", gain, gain_from))
-    force_per_current = priors.force_per_current_n_ma
+    force_per_current = priors.force_per_current
     scale = None if force_per_current is None else Estimate(force_per_current, force_per_current, force_per_current)
     listed.append(
         EstimateRow("gripper.force_per_current_n_ma", "N/mA", scale, NO_SCALE if scale is None else "as given")
@@ -170,7 +165,7 @@ def _drive_keys(
 
 
 def _gel(
-    weights: Sequence[tuple[str, Weight]], misfits: Mapping[str, str], priors: Priors, scale_n_ma: float
+    weights: Sequence[tuple[str, Weight]], misfits: Mapping[str, str], priors: Identify, scale_n_ma: float
 ) -> tuple[list[EstimateRow], dict[str, Entry]]:
     """Return rows and keys of the gel's shear modulus, creep and friction, from weights and their recordings."""
     values: dict[str, Entry] = {}
@@ -192,7 +187,7 @@ def _gel(
     pulled = next(((source, one.modulus_pa) for source, one in weights if one.modulus_pa is not None), None)
     if pulled is not None and mass_kg is not None:
         source, for_1_kg_pa = pulled
-        scale_share = 0.0 if priors.scale_given else SCALE_SHARE
+        scale_share = SCALE_SHARE if priors.pixel_mm is None else 0.0
         modulus_pa = for_1_kg_pa * mass_kg / (1 + MODULUS_HIGH_SHARE)
         modulus = _within(modulus_pa, math.hypot(MODULUS_SHARE, SCALE_POWER * scale_share))
         values["shear_modulus_pa"] = Entry(modulus.value, modulus, source)
@@ -205,7 +200,7 @@ def _gel(
             source = ", ".join(source for source, _ in slipped)
             whys[2] = source
             as_factor = _scaled(friction, 1 / (scale_n_ma * priors.object_friction))
-            is_scale_given = priors.force_per_current_n_ma is not None
+            is_scale_given = priors.force_per_current is not None
             factor, whys[3] = (as_factor, source) if is_scale_given else (None, NO_SCALE)
             needs = source if is_scale_given else f"{source}; valid only for the force per current below"
             values["static_friction_factor"] = Entry(as_factor.value, factor, needs)

@@ -28,16 +28,8 @@ MAKE_REST = "cannot be estimated from these recordings: make one of 3 s or more 
 MAKE_HOT = "cannot be estimated from these recordings: make a longer one in which nothing touches the gel"
 
 
-@dataclass(frozen=True)
-class LongestRest:
-    """The longest rest of a recording: its noise, and its source."""
-
-    noise: RestNoise
-    source: str
-
-
-def longest_rest(recording: Recording, rng: np.random.Generator) -> LongestRest | None:
-    """Return the noise in the longest time at rest; None if the recording has no rest of SHORTEST_REST."""
+def longest_rest(recording: Recording, rng: np.random.Generator) -> tuple[RestNoise, str] | None:
+    """Return the noise in the longest time at rest, and its source; None if there is no rest of SHORTEST_REST."""
     spells = rest_image.quiet_spells(np.diff(recording.starts))
     first, stop = max(spells, key=lambda spell: spell[1] - spell[0], default=(0, 0))
     stop = min(stop, first + LONGEST_REST)
@@ -51,10 +43,10 @@ def longest_rest(recording: Recording, rng: np.random.Generator) -> LongestRest 
         noise = rest.analyse(*columns, recording.frame_px, SLICE_US * (stop - first), rng)
     except ValueError:  # too many pixels are busy for a rest
         return None
-    return LongestRest(noise, f"{recording.path.name}, {first} to {stop} ms")
+    return noise, f"{recording.path.name}, {first} to {stop} ms"
 
 
-def rest_rows(resting: LongestRest | None) -> tuple[list[EstimateRow], dict[str, Entry]]:
+def rest_rows(resting: tuple[RestNoise, str] | None) -> tuple[list[EstimateRow], dict[str, Entry]]:
     """Return rows and keys of the camera's noise."""
     units = {
         "noise_hz": "Hz a pixel",
@@ -67,7 +59,7 @@ def rest_rows(resting: LongestRest | None) -> tuple[list[EstimateRow], dict[str,
     }
     if resting is None:
         return [EstimateRow(name, unit, None, MAKE_REST) for name, unit in units.items()], {}
-    noise = resting.noise
+    noise, source = resting
     estimates = (
         noise.noise_hz,
         noise.noise_on_share if np.isfinite(noise.noise_on_share.value) else None,
@@ -78,19 +70,19 @@ def rest_rows(resting: LongestRest | None) -> tuple[list[EstimateRow], dict[str,
         noise.timestamp_step_us,
     )
     listed_rows = [
-        EstimateRow(name, unit, estimate, MAKE_HOT if estimate is None else resting.source)
+        EstimateRow(name, unit, estimate, MAKE_HOT if estimate is None else source)
         for (name, unit), estimate in zip(units.items(), estimates, strict=True)
     ]
-    values = {"noise_hz": Entry(noise.noise_hz.value, noise.noise_hz, resting.source)}
+    values = {"noise_hz": Entry(noise.noise_hz.value, noise.noise_hz, source)}
     if np.isfinite(noise.noise_on_share.value):
-        values["noise_on_share"] = Entry(noise.noise_on_share.value, noise.noise_on_share, resting.source)
+        values["noise_on_share"] = Entry(noise.noise_on_share.value, noise.noise_on_share, source)
     if noise.timestamp_step_us is not None:
-        values["timestamp_step_us"] = Entry(noise.timestamp_step_us.value, noise.timestamp_step_us, resting.source)
-    values["hot_pixels"] = Entry(0, None, f"{resting.source}: all hot pixels are in the table")
+        values["timestamp_step_us"] = Entry(noise.timestamp_step_us.value, noise.timestamp_step_us, source)
+    values["hot_pixels"] = Entry(0, None, f"{source}: all hot pixels are in the table")
     listed = noise.table
     if len(listed.x_px):
         half = np.median((listed.high_hz - listed.low_hz) / 2 / listed.rate_hz)
-        about = f"{resting.source}: {len(listed.x_px)} above {rest.HOT_HZ:g} Hz; rates within {half:.0%} (median, 95 %)"
+        about = f"{source}: {len(listed.x_px)} above {rest.HOT_HZ:g} Hz; rates within {half:.0%} (median, 95 %)"
         dead_us = 0.0 if noise.dead_time_us is None else noise.dead_time_us.value
         columns = {name: column for name, column in listed._asdict().items() if name not in ("low_hz", "high_hz")}
         values["hot_pixel_table"] = Entry({**columns, "dead_time_us": dead_us}, None, about)

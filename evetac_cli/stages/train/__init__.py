@@ -7,8 +7,6 @@ objects, by networks that are trained only for this purpose. --adapt continues f
 On the same trajectories, probabilities are calibrated, and the threshold is chosen by the rate of false alarms, except
 with preset paper (validating.py). So the validation trajectories should include trials without slip.
 
-The course of the training is written next to the model, as NAME.model.csv.
-
 An interrupted run leaves `NAME.model.RECIPE.part` for each network, and so does one that was refused at its end because
 another has made the output. The same command continues from there, with the same result as without the interruption.
 """
@@ -49,7 +47,7 @@ from evetac_cli.stages.model_files import (
 )
 from evetac_cli.stages.related_files import check_disjoint, check_same, make_folds, named_files, object_name
 from evetac_cli.stages.train import validating
-from evetac_cli.stages.train.plan import group_parameters, series_bytes, write_course
+from evetac_cli.stages.train.networks import group_parameters, series_bytes
 from evetac_cli.store.files import StageFile, header_of, up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.layout.rules import named_architecture
@@ -89,7 +87,7 @@ class TrainJob(Job):
 
 @dataclass(frozen=True)
 class NetworkJob(TrainJob):
-    """One network of a model. It writes its final state (plan.state_file), from which the model is then made.
+    """One network of a model. It writes its final state (networks.state_file), from which the model is then made.
 
     Its output is only its name among the jobs: that of the state depends on the recipe, which needs all inputs.
     """
@@ -316,7 +314,6 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     arrays["horizon_ms"] = np.int64(settings.horizon_ms)
     arrays |= validated.arrays("objects left out in turn" if params.folds else "named or held back")
     made = write_stage(job.output, recipe, arrays, force=force) is not None
-    write_course(job.output)
     networks.remove_states()
     return outcome(
         job,

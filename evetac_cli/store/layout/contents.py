@@ -4,18 +4,15 @@ All checks are here. `StageFile.read` returns nothing that `check_values` refuse
 its schema forbids. Faults of names and shapes alone are refused when a file is opened (`check_shapes`). A small dataset
 is read as a whole before any of it is returned, together with those that have to fit it by a rule (`check_first`). Not
 all datasets are read, because most callers need only a few. `validate` reads all, block by block, in bounded memory
-(`faults`). The same checks apply to a file that is being written
-(`NewContents`): invalid contents are refused before the file is complete, and not by a later reader.
+(`faults`), and so does the writer of a new file before it takes its place.
 """
 
 import math
 import re
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -84,13 +81,6 @@ def check_first(file: Contents, name: str, shapes: Shapes, passed: set[Rule]) ->
             raise
 
 
-def check_small(file: Contents, shapes: Shapes) -> None:
-    """Raise SchemaError if a small dataset is invalid, or if a rule across datasets is violated."""
-    passed: set[Rule] = set()
-    for name in shapes:
-        check_first(file, name, shapes, passed)
-
-
 def faults(file: Contents) -> Iterator[str]:
     """Read every dataset, block by block; yield a line for each that is unreadable or invalid."""
     for path, (_, shape) in file.contents().items():
@@ -101,21 +91,16 @@ def faults(file: Contents) -> Iterator[str]:
 
 
 def check_dataset(file: Contents, path: str, shape: tuple[int, ...]) -> None:
-    """Read a dataset, block by block; SchemaError if it is invalid."""
+    """Read a dataset, block by block; SchemaError if it is invalid, or not in order from one block to the next."""
+    row = schema.load(file.kind).find(path)
     last: Any = None
     for values in blocks(file, path, shape):
-        last = check_order(file, path, last, values)
-
-
-def check_order(file: Contents, path: str, last: Any, values: Any) -> Any:
-    """Check the order of the first value and the one before it, if any; return the last value for the next call."""
-    row = schema.load(file.kind).find(path)
-    if row is None or not row.limits.increasing or not np.size(values):
-        return last
-    flat = np.ravel(values)
-    if last is not None:
-        check_values(file, path, np.append(last, flat[:1]))
-    return flat[-1:]
+        if row is None or not row.limits.increasing or not np.size(values):
+            continue
+        flat = np.ravel(values)
+        if last is not None:
+            check_values(file, path, np.append(last, flat[:1]))
+        last = flat[-1:]
 
 
 def _refuse(path: Path, fault: Fault) -> None:
@@ -210,82 +195,3 @@ def _bounds(file: Contents, row: Dataset, array: NDArray[Any]) -> Iterator[tuple
 
 def _or(value: float | None, otherwise: float) -> float:
     return otherwise if value is None else value
-
-
-HINT = "the file was not written; check its inputs with `evetac validate`"
-
-
-class NewContents:
-    """Datasets of a new file: some in memory as a whole, others passed block by block while they are written.
-
-    It has the interface of an open file for the checks of `contents`, which raise SchemaError with the new file's path.
-    """
-
-    def __init__(self, path: Path, kind: str, whole: Mapping[str, Any]) -> None:
-        """whole: the datasets in memory. `shapes` of the others are known once all of their blocks were passed."""
-        self.path, self.kind = path, kind
-        self.shapes: Shapes = {name: schema.describe(value) for name, value in whole.items()}
-        self._whole = dict(whole)
-        self._last: dict[str, Any] = {}  # last value of each dataset so far
-        self._indices: set[str] = set()  # datasets in blocks that are checked at the end
-        self._h5: h5py.File | None = None
-
-    def add(self, whole: Mapping[str, Any]) -> None:
-        """Add more datasets in memory."""
-        self.shapes |= {name: schema.describe(value) for name, value in whole.items()}
-        self._whole |= whole
-
-    def check_block(self, name: str, rows: Any, first: int) -> None:
-        """Check the rows of a dataset, starting at row `first`, against its limits."""
-        described = schema.load(self.kind).find(name)
-        if described is not None and described.limits.index_of:
-            self._indices.add(name)
-            return
-        with _not_written():
-            check_values(self, name, rows, first)
-            self._last[name] = check_order(self, name, self._last.get(name), rows)
-
-    def check_rest(self, h5: h5py.File | None = None) -> None:
-        """Check the datasets without blocks, and the rules across datasets; `h5` contains the blocks, if any."""
-        self._h5 = h5
-        with _not_written():
-            check_shapes(self.kind, self.path, self.shapes)
-            for name, (_, shape) in self.shapes.items():
-                if name in self._whole or name in self._indices:
-                    check_dataset(self, name, shape)
-            check_small(self, self.shapes)
-
-    def read(self, path: str, start: int = 0, stop: int | None = None) -> Any:
-        """Return a dataset, or its rows [start, stop); SchemaError if values violate the schema."""
-        values = self._whole[path] if path in self._whole else self._written(path)
-        if not isinstance(values, str):
-            values = values[start:stop] if np.ndim(values) else np.asarray(values)[()]
-        check_values(self, path, values, start)
-        return values
-
-    def has(self, path: str) -> bool:
-        """Whether there is such a dataset."""
-        return path in self.shapes
-
-    def contents(self) -> Shapes:
-        """Path -> (dtype, shape)."""
-        return self.shapes
-
-    def length(self, path: str) -> int:
-        """Rows of a dataset."""
-        return int(self.shapes[path][1][0])
-
-    def _written(self, path: str) -> Any:
-        if self._h5 is None or path not in self._h5:
-            schema.refuse(self.kind, [f"{path} is missing"], str(self.path))
-        return self._h5[path]  # type: ignore[index]
-
-
-@contextmanager
-def _not_written() -> Iterator[None]:
-    """Add to a SchemaError the hint that the file was not written."""
-    try:
-        yield
-    except SchemaError as error:
-        error.hint = HINT
-        raise

@@ -22,11 +22,11 @@ from evetac_cli.jobs import Job, Outcome, Progress, Stage, silent
 from evetac_cli.names import Capability
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.store.recordings import slip_grid
-from evetac_cli.trials import gel_grid, part_costs
+from evetac_cli.trials import part_costs
 from evetac_cli.trials.grasp import simulated
 from evetac_cli.trials.grasp.settings import DeviceGrasp, GraspSettings, ReplayGrasp, SimulatedGrasp
 from evetac_cli.trials.listen import Listening, listen, listening
-from evetac_cli.trials.trial import DETAILS, for_people, simulated_trials
+from evetac_cli.trials.trial import DETAILS, for_people, grid_notes, on_resolving_grid, simulated_trials
 from evetac_cli.trials.trial import OUTPUT as OUTPUT
 
 METHOD = simulated.METHOD
@@ -64,7 +64,7 @@ def jobs(files: list[Path], params: Grasp, out: Path | None) -> Sequence[Job]:
         return grasps
     trials = simulated_trials(("lift",), params, out, fingers=len(cameras))
     if params.node_pitch_mm is None and not scene_file.states_pitch(params.scene):
-        trials = [gel_grid.chosen(trial) for trial in trials]
+        trials = [on_resolving_grid(trial) for trial in trials]
     return [
         SimulatedGrasp(
             **vars(trial) | {"view": settings.view(params)},
@@ -134,7 +134,7 @@ def dry_run(jobs: Sequence[Job], params: Grasp, *, force: bool = False, progress
 
 def cautions(jobs: Sequence[Job], params: Grasp) -> list[str]:
     """Return a sentence on the gel's grids that were chosen."""
-    return gel_grid.notes([job for job in jobs if isinstance(job, SimulatedGrasp)])
+    return grid_notes([job for job in jobs if isinstance(job, SimulatedGrasp)])
 
 
 def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = silent) -> Outcome:

@@ -40,9 +40,8 @@ from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import SLICE_US
 from evetac_cli.interrupts import ignore_interrupts, remember_signals
 from evetac_cli.kernels.grip.control import Control, Law
-from evetac_cli.realtime.last_words import error_words
-from evetac_cli.realtime.message_pipe import MessageWriter, PeerGone, take_order
-from evetac_cli.realtime.processes import raise_if_ended, set_realtime_priority, stands_still
+from evetac_cli.realtime.message_pipe import FLUSH_S, LAST_FLUSH_S, ORDER_S, MessageWriter, PeerGone, take_order
+from evetac_cli.realtime.processes import error_words, raise_if_ended, set_realtime_priority, stands_still
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.trials.grasp.loop import Timing, control_row
@@ -53,12 +52,9 @@ PRIORITY = 30
 BATCH_STEPS = 25  # number of steps whose rows are sent to the recorder at once
 COMMAND_BYTES = 19  # bytes of a goal position on the wire, 10 bits each
 FROZEN_US = 10_000.0  # a step later than due by this much was stopped, or waited for an answer
-FLUSH_S = 5.0
-LAST_FLUSH_S = 60.0  # time for the last messages to a busy recorder, which needs them to know how the grasp ended
 DYING_S = 0.5
 FIRST_STATUS_S = 30.0  # limit for the camera to be found and send its first slice
 WAITING_S = 0.01
-ORDER_S = 0.1
 OVER = "the grasp is over"
 DETECTOR = "the detector"
 OF_FINGER = " of the first finger", " of the second finger"

@@ -26,9 +26,8 @@ from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events, empty
 from evetac_cli.interrupts import ignore_interrupts, remember_signals
 from evetac_cli.kernels.grip.control import SlipSignal
-from evetac_cli.realtime.last_words import error_words
-from evetac_cli.realtime.message_pipe import MessageWriter, PeerGone, take_order
-from evetac_cli.realtime.processes import NICE, raise_if_ended, set_niceness
+from evetac_cli.realtime.message_pipe import FLUSH_S, LAST_FLUSH_S, ORDER_S, MessageWriter, PeerGone, take_order
+from evetac_cli.realtime.processes import NICE, error_words, raise_if_ended, set_niceness
 from evetac_cli.realtime.shared_status import REMEMBERED, DetectorStatus, SharedStatus
 from evetac_cli.trials.grasp.loop import SliceDetector
 from evetac_cli.trials.grasp.settings import DetectorModel
@@ -42,9 +41,6 @@ COUNTED_SLICES = 100  # number of slices after which the recorder receives the c
 FLUSH_US = 250  # a quiet camera's words are sent this often, so that a slice is evaluated sooner
 WARM_UP_SLICES, MOST_WARM_UP_SLICES = 30, 2000  # fewest and most slices of noise before the camera runs
 WARM_UP_EVENTS = 3000  # events per noise slice
-FLUSH_S = 5.0
-LAST_FLUSH_S = 60.0  # time for the last messages to a busy recorder, which needs them to know how the grasp ended
-ORDER_S = 0.1
 WARM_SLICES = 100  # slices at the beginning, during which it catches up
 FEWEST_SLICES = 1000  # whose CPU time says what a slice takes
 SWITCH_S = 2e-4  # how often the reading and decoding threads take turns

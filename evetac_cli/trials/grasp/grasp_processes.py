@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from evetac_cli.devices.plugin_devices import release_gripper
 from evetac_cli.errors import DeviceError
 from evetac_cli.interrupts import signals_held
-from evetac_cli.realtime.last_words import LastWords, exit_words, telling
 from evetac_cli.realtime.message_pipe import MessageReader
-from evetac_cli.realtime.processes import start_shielded
+from evetac_cli.realtime.processes import LastWords, exit_words, start_shielded, telling
 from evetac_cli.realtime.shared_status import SharedStatus
 from evetac_cli.trials.grasp import controller_process, detector_process
 from evetac_cli.trials.grasp.controller_process import ControllerEnded, ControllerSettings, GripperReady

@@ -27,7 +27,7 @@ from evetac_cli.kernels.slip.detector import Live
 from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.stages.model_files import chosen_threshold
 from evetac_cli.stages.slip_detectors import load_detector
-from evetac_cli.stages.touch.sticking_share import StickingShare
+from evetac_cli.stages.touch.touch_fold import StickingShare
 from evetac_cli.store.files import StageFile
 
 

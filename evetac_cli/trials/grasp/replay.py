@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.devices import EventCamera, GripperReading, Rig
-from evetac_cli.devices.replay import ReplayCamera
+from evetac_cli.devices.cameras import ReplayCamera
 from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX, Events
 from evetac_cli.jobs import Outcome, Progress, outcome

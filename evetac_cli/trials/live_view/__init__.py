@@ -17,9 +17,15 @@ from evetac_cli import console
 from evetac_cli.devices import losses
 from evetac_cli.errors import DeviceError
 from evetac_cli.events import Events
-from evetac_cli.realtime.last_words import LastWords, exit_words, telling, with_reason
 from evetac_cli.realtime.message_pipe import MessageWriter
-from evetac_cli.realtime.processes import start_shielded, wait_while_computing
+from evetac_cli.realtime.processes import (
+    LastWords,
+    exit_words,
+    start_shielded,
+    telling,
+    wait_while_computing,
+    with_reason,
+)
 from evetac_cli.trials.live_view.shared_view import Ended, GripperNumbers, Lost, Message, SharedView, Started, Title
 from evetac_cli.trials.trial import Trial
 

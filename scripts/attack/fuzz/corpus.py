@@ -200,11 +200,6 @@ KINDS = (
     Kind("CSV of a stream", "pose.csv", "text", _ATTACH, ("piece.recording.h5",)),
     Kind("Parquet of a stream", "pose.parquet", "bytes", _ATTACH, ("piece.recording.h5",)),
     Kind("Parquet, written anew", "pose.parquet", "parquet", _ATTACH, ("piece.recording.h5",)),
-    Kind("index of a folder", "data", "index", (
-        "info {f}", "info {f} --where kind=recording",
-        "track {f}/first.recording.h5",
-        "report {f} --out {o}/a.html", "share {f} --out {o}/hub",
-    )),
     Kind("sensor", "own.sensor.toml", "text", (
         "record --scene short.toml --sensor {f} --dry-run",
         "record --scene short.toml --sensor {f} --out {o}/a.recording.h5",

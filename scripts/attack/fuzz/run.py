@@ -38,7 +38,6 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 import numpy as np  # noqa: E402
 
 from evetac_cli.cli import main as command_line  # noqa: E402
-from evetac_cli.store import index  # noqa: E402
 from scripts.attack.fuzz import corpus, mutations, wire  # noqa: E402
 
 HANG_S = 20  # of processor time, in s, so that a busy computer makes no difference
@@ -141,8 +140,8 @@ def _mutate(path: Path, family: str, rng: np.random.Generator, report: Path) -> 
 
 
 def _files(folder: Path) -> set[str]:
-    """Return the names of all files except indexes: any command that reads a folder may create an index."""
-    every = (path for path in folder.rglob("*") if not path.is_dir() and path.name != index.NAME)
+    """Return the names of all files."""
+    every = (path for path in folder.rglob("*") if not path.is_dir())
     return {str(path.relative_to(folder)) for path in every}
 
 

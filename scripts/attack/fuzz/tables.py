@@ -1,11 +1,8 @@
-"""Write and damage a data set with its index, a Parquet table and a sensor's file.
+"""Write and damage a data set, a Parquet table and a sensor's file.
 
-An index has other values, or something else in its place. A Parquet table is rewritten with other types, rows, pages
-and names. Of both, single bytes are damaged too.
+A Parquet table is rewritten with other types, rows, pages and names, or single bytes are damaged.
 """
 
-import json
-import os
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -16,59 +13,20 @@ import pyarrow.parquet as pq
 
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.tables import as_table
-from evetac_cli.store import index
 from evetac_cli.text_files import as_toml
 from scripts.attack.fuzz.plain_files import Rng, damage_bytes
 
 DATA = ("first.recording.h5", "first.tracks.h5", "first.labels.h5", "piece.recording.h5", "events.h5")
-VALUES: tuple[object, ...] = (None, -1, 0, 0.5, 1e308, float("nan"), 2**70, True, "", "x" * 70_000, "\udcff", "\x1b[2J",
-                              "../../etc/passwd", [[]], {"a": 1})  # fmt: skip
 TYPES = ("int8", "uint64", "float16", "float32", "float64", "bool", "string", "binary", "timestamp[ns]", "date32",
          "decimal128(38, 10)", "duration[us]", "large_string", "null")  # fmt: skip
 
 
 def write(folder: Path) -> None:
-    """Write the folder `data` with its index, and a complete sensor as TOML."""
+    """Write the folder `data`, and a complete sensor as TOML."""
     (folder / "data").mkdir()
     for name in DATA:
         shutil.copy(folder / name, folder / "data")
-    index.read_index(folder / "data")
     (folder / "own.sensor.toml").write_text(as_toml({"name": "own", **as_table(one_sensor("evetac"))}))
-
-
-def damage_index(path: Path, rng: Rng) -> str:
-    """Damage the index of a folder that is up to date: its values, the file in its place, or its bytes."""
-    place = path / index.NAME
-    if rng.random() < 0.3:
-        return _instead(place, rng)
-    index.read_index(path)  # a copy of the folder has other modification times
-    if not place.is_file():
-        return "nothing"
-    if rng.random() < 0.5:
-        return damage_bytes(place, rng)
-    try:
-        table = json.loads(place.read_text())
-        row, column = rng.integers(len(table["rows"])), int(rng.integers(len(index.IndexRow._fields)))
-        value = VALUES[rng.integers(len(VALUES))]
-        table["rows"][row][column] = value
-        place.write_text(json.dumps(table))
-    except (OSError, ValueError) as error:
-        return f"not possible ({error})"
-    return f"{index.IndexRow._fields[column]} = {str(value)[:20]}"
-
-
-def _instead(place: Path, rng: Rng) -> str:
-    what = str(rng.choice(["pipe", "folder", "link", "device", "empty", "text", "itself", "nothing"]))
-    place.unlink(missing_ok=True) if not place.is_dir() else place.rmdir()
-    if what == "pipe":
-        os.mkfifo(place)
-    elif what == "folder":
-        place.mkdir()
-    elif what in ("empty", "text"):
-        place.write_text("" if what == "empty" else "notes\n" * 100)
-    elif what != "nothing":
-        place.symlink_to({"link": "/etc/passwd", "device": "/dev/zero", "itself": place.name}[what])
-    return what
 
 
 def damage_parquet(path: Path, rng: Rng) -> str:
@@ -161,4 +119,4 @@ PARQUET: tuple[Callable[[pa.Table, Rng], tuple[pa.Table, str]], ...] = (
     _type, _type, _nested, _odd, _odd, _nulls, _many, _text, _names, _wide,
 )  # fmt: skip
 
-FAMILIES: dict[str, Callable[[Path, Rng], str]] = {"index": damage_index, "parquet": damage_parquet}
+FAMILIES: dict[str, Callable[[Path, Rng], str]] = {"parquet": damage_parquet}

@@ -14,9 +14,8 @@ from evetac_cli.commands.record import Record
 from evetac_cli.jobs import Row
 from evetac_cli.store.recordings.slip_grid import is_unresolved, resolving_mm
 from evetac_cli.trials import record
-from evetac_cli.trials.gel_grid import nodes_of_slip
 from evetac_cli.trials.record import simulated
-from evetac_cli.trials.trial import SimulatedTrial
+from evetac_cli.trials.trial import SimulatedTrial, nodes_of_slip
 from scripts.reproduce.facts import commit_in_words
 from scripts.reproduce.table_text import as_table
 from scripts.studies.likeness.trials import FOLDER, SLIP, arguments, kept, made_by, write

@@ -18,7 +18,7 @@ from evetac_cli.kernels.slip.inputs import DotsAndExtras
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.presets import PRESETS
 from evetac_cli.kernels.tracking.tracker import TrackerState
-from evetac_cli.stages.touch.sticking_share import StickingShare
+from evetac_cli.stages.touch.touch_fold import StickingShare
 from scripts.studies import motions
 from scripts.studies.motions import Planned, Trial
 from scripts.studies.slip.trials import Scores

@@ -27,7 +27,7 @@ from evetac_cli.evaluate.slip.warnings import begins
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.touch.rest import BLOCK_MS
 from evetac_cli.kernels.touch.sticking import ALARM, PATIENCE
-from evetac_cli.stages.touch.sticking_share import shipped_network
+from evetac_cli.stages.touch.touch_fold import shipped_network
 from scripts.reproduce.experiment import Check, Figure, ScriptCheck, Study
 from scripts.reproduce.facts import RESULTS, ranges
 from scripts.reproduce.made_tables import table_of, write

@@ -77,12 +77,6 @@ def test_known_bytes(name: str) -> None:
     assert FrameReader().push(known) == [DynamixelFrame(id_, instruction, parameters, True, len(known))]
 
 
-def test_crc() -> None:
-    """Assert the check value of CRC-16/UMTS."""
-    assert crc16(b"123456789") == 0xFEE8
-    assert crc16(b"") == 0
-
-
 @given(st.binary(max_size=64))
 def test_crc_is_the_sdks(data: bytes) -> None:
     """Assert that any bytes have the checksum that the maker's library gives them."""

@@ -96,13 +96,10 @@ def test_numbers_too_coarse_for_times_are_refused(tmp_path: Path, writer: str, t
     assert words in refusal(WRITERS[writer](tmp_path, t), frame_px=FRAME)
 
 
-def test_coarse_times_are_noted(tmp_path: Path) -> None:
-    """Assert that steps between a microsecond and a slice are said, and that the flag allows those of whole numbers."""
-    imported = read_events(npz(tmp_path, (T_US / 1e6 + 9_000).astype("f4")), frame_px=FRAME)
-    assert "float32 times near 9002 s have steps of 977 us" in imported.notes
+def test_coarse_whole_times_are_taken_with_their_unit(tmp_path: Path) -> None:
+    """Assert that steps between a microsecond and a slice are allowed by the flag."""
     t = (np.arange(COUNT) * 10_000).astype("f4")
     imported = read_events(npz(tmp_path, t), frame_px=FRAME, time_unit="us")
-    assert "float32 times near 199.99 s have steps of 16 us" in imported.notes
     assert imported.events.t.tolist() == (np.arange(COUNT) * 10_000).astype("f4").astype(np.int64).tolist()
 
 

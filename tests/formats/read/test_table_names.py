@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from evetac_cli.errors import InputError
 from evetac_cli.formats.read.read_table import read_table
 from evetac_cli.formats.read.table_names import name_and_unit
 
@@ -84,17 +85,6 @@ def test_a_number_in_brackets_is_an_index(name: str, expected: tuple[str, str]) 
     assert name_and_unit(name) == expected
 
 
-def test_elements_of_vectors_are_columns_without_a_unit(tmp_path: Path) -> None:
-    """Assert that q[0], q[1], q[2] become q_0, q_1, q_2, and a unit in brackets beside them remains one."""
-    row = np.arange(ROWS)
-    given = {"t_us": 10_000 * row, "q[0]": row, "q[1]": 100 + row, "q[2]": 200 + row, "force [N]": row / 10}
-    stream, _ = by_csv(tmp_path, given)
-    assert {name: values[1] for name, values in stream.columns.items()} == {
-        "q_0": 1.0, "q_1": 101.0, "q_2": 201.0, "force": 0.1,
-    }  # fmt: skip
-    assert stream.units == {"q_0": "", "q_1": "", "q_2": "", "force": "N"}
-
-
 @pytest.mark.parametrize(
     ("names", "chosen", "others"),
     [
@@ -123,16 +113,14 @@ def test_the_choice_between_two_times_is_said(tmp_path: Path, names: tuple[str, 
     assert notes == [f"other times, which were not used: {column}{others}"]
 
 
-@pytest.mark.parametrize("read", [by_csv, by_parquet])
 @pytest.mark.parametrize("stamp", [("header.stamp",), ("header.stamp.sec", "header.stamp.nanosec")])
-def test_a_stamp_that_was_never_set_is_not_used(tmp_path: Path, read: Any, stamp: tuple[str, ...]) -> None:
-    """Assert that the time of reception is used, and said, if the stamp is 0 in all rows, but not if in one."""
+def test_a_stamp_that_was_never_set_is_refused(tmp_path: Path, stamp: tuple[str, ...]) -> None:
+    """Assert that times that are 0 in all rows are refused with the name of other times, but not if in one."""
     received = [1_700_000_000_000_000_000 + at * 10_000_000 for at in range(ROWS)]
     zero = dict.fromkeys(stamp, [0] * ROWS)
-    stream, notes = read(tmp_path, {**zero, "log_time": received, "x": list(range(ROWS))})
-    assert stream.t_us.tolist() == [ns // 1000 for ns in received]
-    assert stream.clock == "column log_time, assumed to be in ns"
-    assert notes[0] == f"column {' and '.join(stamp)} is 0 or empty in all rows, so never set"
+    columns = {**zero, "log_time": received, "x": list(range(ROWS))}
+    with pytest.raises(InputError, match=r"never set(.|\n)*log_time" if len(stamp) > 1 else "unit of time is unclear"):
+        by_csv(tmp_path, columns)
     if len(stamp) > 1:
-        once = {stamp[0]: [*[0] * (ROWS - 1), 1_700_000_000], stamp[1]: [0] * ROWS}
-        assert read(tmp_path, {**once, "log_time": received, "x": list(range(ROWS))})[0].t_us[0] == 0
+        once = {stamp[0]: [*[0] * (ROWS - 1), 1_700_000_000]}
+        assert by_parquet(tmp_path, columns | once)[0].t_us[0] == 0

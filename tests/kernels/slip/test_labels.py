@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evetac_cli.kernels.slip.metrics import THRESHOLDS, Prediction, is_slip, shift_labels
+from evetac_cli.kernels.slip.metrics import THRESHOLDS, is_slip, shift_labels
 
 
 def test_labels_shifted_by_hand() -> None:
@@ -51,12 +51,3 @@ def test_no_probability_is_no_slip() -> None:
     """Assert that NaN, before the history is full, is not slip at any threshold."""
     assert is_slip(float("nan"), 0.0) is False
     assert is_slip(np.array([np.nan, 0.0], np.float32), 0.0).tolist() == [False, True]
-
-
-def test_predictions_decide_by_the_rule() -> None:
-    """Assert that what training and evaluation count as detected is what the rule says, for every threshold."""
-    for threshold in THRESHOLDS:
-        probability = np.array([np.nan, np.nextafter(np.float32(threshold), np.float32(-1)), threshold], np.float32)
-        probability = np.clip(probability, 0, 1)
-        detected = Prediction(probability, np.zeros(3, np.int8), -1).detected(threshold)
-        assert detected.tolist() == [is_slip(float(value), float(threshold)) for value in probability]

@@ -6,7 +6,6 @@ What only the preset `stable` does is in test_fit.py.
 import copy
 import itertools
 import math
-import mmap
 import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -462,12 +461,6 @@ def test_descent_is_exact(preset: str) -> None:
     assert np.abs(state.dot_xy_px - rest).max() > 0.1
 
 
-def test_the_record_has_no_gaps() -> None:
-    """Assert that every byte of a state belongs to a field, so that equal states have equal bytes."""
-    sizes = [STATE[name].itemsize for name in STATE.names or ()]
-    assert sum(sizes) == STATE.itemsize
-
-
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("make", [copy.copy, copy.deepcopy, lambda state: pickle.loads(pickle.dumps(state))])
 def test_a_copy_goes_on_alike_and_alone(preset: str, make: Callable[[TrackerState], TrackerState]) -> None:
@@ -485,22 +478,6 @@ def test_a_copy_goes_on_alike_and_alone(preset: str, make: Callable[[TrackerStat
     assert (other.dot_xy_px != state.dot_xy_px).any()
     step(state, *slice_)
     assert state.record.tobytes() == other.record.tobytes()
-
-
-def test_a_state_round_trips_through_bytes_and_shared_memory() -> None:
-    """Assert that a state from bytes, and one that lies in memory of another owner, go on with the same bits there."""
-    rng = np.random.default_rng(16)
-    state = tracker.start(grid(), PRESETS["stable"])
-    step(state, *random_events(rng, grid() + 1, 2000))
-    saved = TrackerState(np.frombuffer(bytearray(state.record.tobytes()), STATE))
-    memory = mmap.mmap(-1, STATE.itemsize)
-    memory.write(state.record.tobytes())
-    shared = TrackerState(np.frombuffer(memory, STATE, 1))
-    slice_ = random_events(rng, grid() + 2, 2000)
-    for one in (state, saved, shared):
-        step(one, *slice_)
-    assert saved.record.tobytes() == state.record.tobytes()
-    assert memory[:] == state.record.tobytes()
 
 
 def test_the_reach_of_every_dot_at_once_fits() -> None:
@@ -547,18 +524,6 @@ def test_a_hot_pixel_does_not_pull() -> None:
         moved[limit] = abs(state.dot_xy_px - [300, 200]).max()
     assert moved[16] < 0.5
     assert moved[0] > 2
-
-
-def test_a_vibrating_edge_is_no_hot_pixel() -> None:
-    """Assert that a dot whose whole edge fires at 100 Hz for 2 s is tracked as without the filter."""
-    angle = np.arange(0, 2 * np.pi, 0.02)
-    edge = np.unique(np.round([300 + 15.4 * np.cos(angle), 200 + 15.4 * np.sin(angle)]).astype(np.uint16), axis=1)
-    with_filter, without = single(), single(constants=replace(PAPER, hot_pixel_events=0))
-    for slice_ in range(2000):
-        events = edge if slice_ % 5 == 0 else edge[:, :0]
-        for state in (with_filter, without):
-            step(state, events[0].copy(), events[1].copy())
-    assert with_filter.dot_xy_px.tolist() == without.dot_xy_px.tolist()
 
 
 def test_the_step_limit_is_where_steps_begin_to_grow() -> None:

@@ -19,7 +19,6 @@ from evetac_cli.stages import identify
 from evetac_cli.stages.identify import gripped, gripper_rows
 from evetac_cli.stages.identify.drive import NAMES, DriveFit, GripperRows
 from evetac_cli.stages.identify.gripped import Gripped, Weight
-from evetac_cli.stages.identify.gripper_rows import Priors
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.trials import grasp, record
 from tests.make import run_stage
@@ -40,7 +39,9 @@ def gripped_whole() -> Gripped:
 
 def test_what_is_written_simulates_the_same() -> None:
     """Assert that the drive of the file's table has the friction, gain and damping that were told; the gel, too."""
-    listed, values = gripper_rows.rows([gripped_whole()], Priors(500.0, 0.9, 0.45, True), LIKE)
+    listed, values = gripper_rows.rows(
+        [gripped_whole()], Identify(object_mass_g=500.0, force_per_current=0.45, pixel_mm=0.03), LIKE
+    )
     table = {key: one.value for key, one in values["gripper"].value.items()}
     drive = gripper.make_drive(read_table(SensorGripper, table, "here"))
     assert drive.force_per_current_n_ma == 0.45
@@ -58,14 +59,14 @@ def test_what_is_written_simulates_the_same() -> None:
 
 def test_without_a_scale() -> None:
     """Assert that without mass or force per current the rows that hang on them say so, and the others stand."""
-    listed, values = gripper_rows.rows([gripped_whole()], Priors(None, 0.9, None, True), LIKE)
+    listed, values = gripper_rows.rows([gripped_whole()], Identify(pixel_mm=0.03), LIKE)
     by_name = {row.parameter: row for row in listed}
     for name in ("shear_modulus_pa", "static friction x force per current"):
         assert by_name[name].estimate is None and "--object-mass-g" in by_name[name].source
     assert "--force-per-current" in by_name["gripper.force_per_current_n_ma"].source
     assert by_name["gripper: gear friction"].estimate is not None
     assert "shear_modulus_pa" not in values and values["gripper"].value["force_per_current_n_ma"].value == 0.4
-    known = Priors(500.0, 0.9, None, False)
+    known = Identify(object_mass_g=500.0)
     with_mass, values = gripper_rows.rows([gripped_whole()], known, LIKE)
     by_name = {row.parameter: row for row in with_mass}
     wide = by_name["shear_modulus_pa"].estimate
@@ -76,13 +77,13 @@ def test_without_a_scale() -> None:
 
 def test_nothing_told() -> None:
     """Assert that without a gripper, and where the object never slips, each row says which recording it takes."""
-    listed, values = gripper_rows.rows([], Priors(500.0, 0.9, None, True), LIKE)
+    listed, values = gripper_rows.rows([], Identify(object_mass_g=500.0, pixel_mm=0.03), LIKE)
     assert values == {} and len(listed) == 16
     assert all(row.estimate is None and row.source.startswith("cannot be estimated") for row in listed)
     whole = gripped_whole()
     assert whole.weight is not None
     stuck = Gripped("a.recording.h5", whole.drive, weight=whole.weight._replace(weight_per_ma=None))
-    listed, values = gripper_rows.rows([stuck], Priors(500.0, 0.9, None, True), LIKE)
+    listed, values = gripper_rows.rows([stuck], Identify(object_mass_g=500.0, pixel_mm=0.03), LIKE)
     by_name = {row.parameter: row for row in listed}
     assert "until the object slips" in by_name["static friction x force per current"].source
     assert "static_friction_factor" not in values and "shear_modulus_pa" in values
@@ -91,7 +92,7 @@ def test_nothing_told() -> None:
 def test_a_delay_that_could_be_anything_is_not_told() -> None:
     """Assert the stated rule: an interval wider than half of what sensors have is none."""
     vague = Gripped("a.recording.h5", delay_ms=Estimate(4.0, 1.0, 7.0), jitter_ms=Estimate(2.0, 0.0, 3.0))
-    listed, values = gripper_rows.rows([vague], Priors(None, 0.9, None, True), LIKE)
+    listed, values = gripper_rows.rows([vague], Identify(pixel_mm=0.03), LIKE)
     by_name = {row.parameter: row.estimate for row in listed}
     assert by_name["gripper.command_delay_ms"] is None and by_name["gripper.command_jitter_ms"] is None
     assert values == {}
@@ -105,7 +106,7 @@ def test_grips_at_several_places() -> None:
     def friction(*slips: tuple[float, float]) -> Estimate:
         held = [whole.weight._replace(weight_per_ma=2 * np.array(slip)) for slip in slips]  # type: ignore[union-attr]
         grips = [Gripped(f"{number}.recording.h5", weight=one) for number, one in enumerate(held)]
-        listed, _ = gripper_rows.rows(grips, Priors(500.0, 0.9, None, True), LIKE)
+        listed, _ = gripper_rows.rows(grips, Identify(object_mass_g=500.0, pixel_mm=0.03), LIKE)
         row = next(row for row in listed if row.parameter == "static friction x force per current")
         assert row.estimate is not None and row.source == ", ".join(one.source for one in grips)
         return row.estimate
@@ -127,7 +128,7 @@ def test_a_bad_fit_is_not_told() -> None:
     assert set(misfits) == {"modulus", "creep"}
     whole = gripped_whole()
     assert whole.weight is not None
-    known = Priors(500.0, 0.9, None, True)
+    known = Identify(object_mass_g=500.0, pixel_mm=0.03)
     bad = Gripped(
         "bad.recording.h5", weight=Weight(None, None, None), misfits=misfits | {"drive": "cannot be estimated: x"}
     )
@@ -172,7 +173,7 @@ def test_a_drive_that_does_not_fit(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_why_a_grip_tells_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that the rows name the recording and the reason, for the drive and for the weight."""
-    known = Priors(500.0, 0.9, None, True)
+    known = Identify(object_mass_g=500.0, pixel_mm=0.03)
     rows = GripperRows(np.arange(1, 3001) * 2000, *(np.full(3000, 60.0) for _ in range(2)), np.full(3000, 61))
 
     class Recording:

@@ -8,9 +8,9 @@ import pytest
 from evetac_cli.events import FRAME_PX
 from evetac_cli.kernels.touch import rest, sticking
 from evetac_cli.kernels.touch.dot_motion import DotNoise
-from evetac_cli.stages.touch import sticking_share
+from evetac_cli.stages.touch import touch_fold
 from evetac_cli.stages.touch.known_gel import DRIFT_PX, MM_PER_PX, TRACKER_PX
-from evetac_cli.stages.touch.sticking_share import StickingShare
+from evetac_cli.stages.touch.touch_fold import StickingShare
 
 X, Y = np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0)
 DOTS_PX = np.stack([X, Y], axis=-1).reshape(-1, 2)
@@ -37,7 +37,7 @@ def test_as_the_kernel_tells_it(frame_px: tuple[int, int], times: int) -> None:
 
     online = StickingShare(seen(DOTS_PX), frame_px)
     noise = DotNoise(TRACKER_PX * scale, DRIFT_PX * scale)
-    state = sticking.start((seen(DOTS_PX) - middle_px) * scale, sticking_share.shipped_network(), noise)
+    state = sticking.start((seen(DOTS_PX) - middle_px) * scale, touch_fold.shipped_network(), noise)
     shares = []
     for slice_ in range(160):
         at_px = seen(pressed(slice_)).astype(np.float32)  # as tracks are stored

@@ -9,11 +9,8 @@ import pytest
 
 from evetac_cli.errors import SchemaError
 from evetac_cli.inspect import validate
-from evetac_cli.store.files import StageFile, write_stage
-from evetac_cli.store.layout import contents, rules
-from evetac_cli.store.layout.contents import HINT
+from evetac_cli.store.files import NOT_WRITTEN, StageFile, write_stage
 from evetac_cli.store.layout.provenance import Recipe
-from tests import small_files
 from tests.make import everything, label_arrays
 
 LABELS = Recipe("labels", 1, {})
@@ -40,7 +37,7 @@ def test_arrays_without_sense_leave_nothing(tmp_path: Path, changes: dict[str, A
     with pytest.raises(SchemaError, match=words) as refused:
         write_stage(path, LABELS, labels(**changes))
     assert str(refused.value).startswith(f"{path}: ")
-    assert refused.value.hint == HINT
+    assert refused.value.hint == NOT_WRITTEN
     assert everything(tmp_path) == []
     write_stage(path, LABELS, labels())
 
@@ -86,43 +83,9 @@ def test_a_block_without_sense_leaves_the_old_file(
     before = path.read_bytes()
     with pytest.raises(SchemaError, match=f"events/{name} is impossible") as refused:
         write_events(path, size, **{name: (place, value)})
-    assert refused.value.hint == HINT
+    assert refused.value.hint == NOT_WRITTEN
     assert path.read_bytes() == before
     assert everything(tmp_path) == [path.name]
-
-
-@pytest.mark.parametrize("size", [1, 15])
-def test_order_is_held_from_one_block_to_the_next(tmp_path: Path, size: int) -> None:
-    """Assert that a time before the last one of the block before is refused."""
-    with pytest.raises(SchemaError, match=r"events/t is impossible(.|\n)*never decreasing"):
-        write_events(tmp_path / "a.recording.h5", size, t=(30, 2850))
-    assert everything(tmp_path) == []
-
-
-@pytest.mark.parametrize("middle", [[20, 30, 40, 50, 59], [20, 30, 40, 61, 60], [30, 20, 40, 50, 60]])
-def test_indices_are_held_to_what_they_count(tmp_path: Path, middle: list[int]) -> None:
-    """Assert that an index of rows that come in blocks is refused where there are no such rows."""
-    with pytest.raises(SchemaError, match="ms_to_idx is impossible"):
-        write_events(tmp_path / "a.recording.h5", 7, np.array([0, 10, *middle], np.int64))
-    assert everything(tmp_path) == []
-
-
-def test_indices_that_come_in_blocks_are_held_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that the starts of images, written before it is known how many pixels there are, are held to these."""
-    monkeypatch.setattr(rules, "BLOCK_VALUES", 2)
-    monkeypatch.setattr(contents, "SMALL_VALUES", 0)
-    with StageFile(small_files.every_kind(tmp_path)["features"]) as file:
-        arrays = {name: file.read(name) for name in file.contents()}
-        header = file.header
-    image = {name: arrays.pop(name) for name in ("image/start", "image/pixel", "image/sign")}
-    recipe = Recipe("features", 1, {}, parents=(header,))
-    path = tmp_path / "b.features.h5"
-    write_stage(path, recipe, arrays, [image], {})
-    path.unlink()
-    image["image/start"][5] = 10_000
-    with pytest.raises(SchemaError, match=r"image/start is impossible(.|\n)*an index of image/pixel"):
-        write_stage(path, recipe, arrays, [image], {})
-    assert not path.exists()
 
 
 def test_a_dataset_that_the_limits_need_is_missing(tmp_path: Path) -> None:

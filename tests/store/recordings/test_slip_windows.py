@@ -9,7 +9,7 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.layout.provenance import Recipe
-from evetac_cli.store.recordings.slip_windows import SlipWindows
+from evetac_cli.store.recordings.read import SlipWindows
 
 LABEL = [0] * 20 + [1] * 6 + [-1] * 4
 

@@ -12,9 +12,9 @@ from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.errors import DeviceError
 from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import PAPER, GraspPhase
-from evetac_cli.realtime.bell import Bell
 from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
+from evetac_cli.realtime.shared_time import Bell
 from evetac_cli.trials.grasp.controller_process import ControllerEnded, ControllerSettings, command_grasp
 from evetac_cli.trials.grasp.loop import Timing
 from tests.devices.stand_ins import StillGripper

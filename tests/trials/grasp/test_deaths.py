@@ -19,8 +19,8 @@ import pytest
 from evetac_cli.devices.cameras import NamedCamera, OpenedCamera
 from evetac_cli.errors import DeviceError
 from evetac_cli.events import Events, empty
-from evetac_cli.realtime.last_words import LastWords, exit_words, telling
 from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
+from evetac_cli.realtime.processes import LastWords, exit_words, telling
 from evetac_cli.realtime.shared_status import SharedStatus
 from evetac_cli.trials.grasp import recorder
 from evetac_cli.trials.grasp.controller_process import ControllerEnded

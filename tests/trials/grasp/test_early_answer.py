@@ -13,7 +13,7 @@ from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.kernels.grip.control import LawState, PluginLaw, SlipSignal
 from evetac_cli.kernels.grip.load_law import LoadLaw
 from evetac_cli.kernels.grip.paper import GraspPhase
-from evetac_cli.realtime.bell import Bell
+from evetac_cli.realtime.shared_time import Bell
 from evetac_cli.trials.grasp.controller_process import OVER
 from tests.trials.grasp.bench import PERIOD_S, WRITE_S, Bench, goals_by_law
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from evetac_cli.devices import GripperReading
 from evetac_cli.devices.virtual.servo_plant import Goals, Obstacle, OwnDynamics
 from evetac_cli.errors import DeviceError
-from evetac_cli.realtime.bell import Bell
+from evetac_cli.realtime.shared_time import Bell
 from evetac_cli.trials.record.current_ramp import (
     COMMAND_MS,
     LAST_TICK,

@@ -1,18 +1,14 @@
 """Open ROS 1 bags (`.bag`) and ROS 2 bags (a folder, `.db3`, `.mcap`): connections and messages of all their files.
 
 Formats are recognized by the content of the files, not by their names or the folder's metadata. No file is changed. A
-ROS 2 recorder that was killed leaves messages in `NAME.db3-wal`. SQLite merges them when it opens the file for writing;
-so such a file is copied, and they are merged into the copy. A bag of several files is read as one if its folder is
-given.
+bag of several files is read as one if its folder is given; metadata.yaml lists them. A ROS 2 recorder that was killed
+writes no metadata.yaml, and leaves messages of SQLite in `NAME.db3-wal`: programs of ROS 2 and SQLite mend both.
 """
 
-import re
 import shutil
-import sqlite3
 import weakref
 from collections import Counter
 from collections.abc import Collection, Iterator
-from contextlib import closing
 from functools import lru_cache
 from importlib import import_module
 from importlib.util import find_spec
@@ -30,23 +26,23 @@ LIBRARIES = ("rosbags.typesys", "mcap.records", "lz4.frame", "zstandard", "ruame
 ZSTD = b"\x28\xb5\x2f\xfd"
 METADATA = "metadata.yaml"
 MOST_METADATA_BYTES = 1 << 20  # a topic takes a few hundred bytes
-DB3 = b"SQLite format 3\x00"
-BAGS: dict[bytes, type[BagFile]] = {DB3: Db3File, b"\x89MCAP0\r\n": McapFile, b"#ROSBAG V2.0\n": Rosbag1File}
+BAGS: dict[bytes, type[BagFile]] = {
+    b"SQLite format 3\x00": Db3File,
+    b"\x89MCAP0\r\n": McapFile,
+    b"#ROSBAG V2.0\n": Rosbag1File,
+}
 BLOCK_BYTES = 1 << 20
-WAL = "-wal"
 ENDINGS = (".db3", ".mcap")  # of the files in a bag's folder; `.zstd` may follow
-PART = re.compile(r"(.*?)(?:[-_]\d{4}(?:-\d\d){5})?_(\d+)(\.db3|\.mcap)(\.zstd)?")
 MOST_NAMED = 8
 
 Message = tuple[Connection, int, bytes]  # and the time of its reception in ns
 
 
 class Files(NamedTuple):
-    """The files of a bag in order, notes on them, and the number of messages that the folder's metadata state."""
+    """The files of a bag in order, and notes on them."""
 
     paths: tuple[Path, ...]
     notes: tuple[str, ...] = ()
-    stated: int | None = None
 
 
 class Bag:
@@ -72,10 +68,6 @@ class Bag:
         self.connections = [
             one._replace(number=number, msgcount=count) for number, (one, count) in enumerate(counts.items())
         ]
-        count = counts.total()
-        if files.stated not in (None, count):
-            self.notes.append(f"{METADATA} states {files.stated:,} messages, but the bag has {count:,}")
-            self.cut_short |= (files.stated or 0) > count
 
     def messages(self, connections: Collection[Connection]) -> Iterator[Message]:
         """Yield all messages of some connections, file after file, in each file's order; InputError if damaged.
@@ -110,7 +102,7 @@ def open_bag(path: Path) -> Bag:
         raise missing_extra("ROS bags need rosbags and mcap", "convert", where=where, found=f"no {missing[0]}")
     with read_in_words(where, "the bag cannot be read"):
         files = _files_of(path)
-        return _bag(path, files, tuple(stamp for file in files.paths for stamp in _stamps(file)))
+        return _bag(path, files, tuple(map(_stamps, files.paths)))
 
 
 @lru_cache(maxsize=2)
@@ -130,9 +122,14 @@ def _files_of(path: Path) -> Files:
     if not path.is_dir():
         return Files((path,))
     inside = _inside(path)
-    names, stated, trouble = _listed(path)
-    if trouble:
-        return _without_metadata(path, inside, trouble)
+    names = _listed(path)
+    if not names:
+        if len(inside) == 1:
+            return Files((path / inside[0],), (f"the folder has no usable {METADATA}; read {inside[0]}",))
+        expected, found = f"a {METADATA} that lists its files", _file_names(inside) or "no bag file"
+        hint = f"`ros2 bag reindex {path}` writes it; or import each file separately"
+        message = "the folder does not say in which order its files belong"
+        raise InputError(message, where=str(path), expected=expected, found=found, hint=hint)
     missing = [name for name in names if not (path / name).is_file()]
     if missing:
         expected, found = _file_names(missing), _file_names(inside) or "no bag file"
@@ -140,42 +137,26 @@ def _files_of(path: Path) -> Files:
         raise InputError("a part of the bag is missing", where=str(path), expected=expected, found=found, hint=hint)
     others = [name for name in inside if name not in names]
     note = f"not read: {_file_names(others)}, which {METADATA} does not list; give the file itself to read it"
-    return Files(tuple(path / name for name in dict.fromkeys(names)), (note,) if others else (), stated)
+    return Files(tuple(path / name for name in dict.fromkeys(names)), (note,) if others else ())
 
 
-def _without_metadata(path: Path, inside: list[str], trouble: str) -> Files:
-    """Return the files of a folder in the order of their numbers."""
-    parts = {int(part[2]): part for name in inside if (part := PART.fullmatch(name))}
-    gaps = len(parts) and max(parts) - min(parts) + 1 - len(parts)
-    if len(inside) > 1 and (len(parts) < len(inside) or len({part[1] for part in parts.values()}) > 1 or gaps):
-        found, hint = _file_names(inside), f"give one of them, for example {path / inside[0]}"
-        raise InputError("the folder's files are not all parts of one bag", where=str(path), found=found, hint=hint)
-    if not inside:
-        raise InputError("the folder has no bag file", where=str(path), expected=" or ".join(ENDINGS), found=trouble)
-    ordered = [part[0] for _, part in sorted(parts.items())] if len(inside) > 1 else inside
-    return Files(tuple(path / name for name in ordered), (f"{trouble}; read {_file_names(ordered)}",))
-
-
-def _listed(folder: Path) -> tuple[list[str], int | None, str]:
-    """Return the files and the number of messages that the folder's metadata state, or why they cannot be used."""
+def _listed(folder: Path) -> list[str]:
+    """Return the files that the folder's metadata list; none if there are no metadata, or unfinished ones."""
     from ruamel.yaml import YAML
 
     if not (folder / METADATA).exists():
-        return [], None, f"the folder has no {METADATA} (a recorder that was killed does not write it)"
+        return []
     text = read_bytes(folder / METADATA, MOST_METADATA_BYTES)
     try:
         about = YAML(typ="safe").load(text)["rosbag2_bagfile_information"]
         names = [PurePath(name).name for name in about["relative_file_paths"]]
-        packed, stated = about.get("compression_format") or "", about.get("message_count")
-        if not names:
-            raise ValueError("it lists no files")
-    except Exception as error:  # the YAML parser, and access to what it returns, raise all kinds of exceptions
-        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:100]
-        return [], None, f"{METADATA} cannot be used ({reason})"
+        packed = about.get("compression_format") or ""
+    except Exception:  # the YAML parser, and access to what it returns, raise all kinds of exceptions
+        return []
     if packed not in ("", "none", "zstd"):
         message, found = "the compression of the bag is not supported", str(packed)[:40]
         raise InputError(message, where=str(folder), expected="zstd", found=found)
-    return names, stated if type(stated) is int else None, ""
+    return names
 
 
 def _inside(folder: Path) -> list[str]:
@@ -191,51 +172,33 @@ def _file_names(names: list[str]) -> str:
 
 
 def _stamps(path: Path) -> tuple[Any, ...]:
-    """Return what changes when a file of a bag, or the `-wal` next to it, is written to."""
-    states = [(one, one.stat()) for one in (path, *_waiting(path))]
-    return tuple((str(one), state.st_size, state.st_mtime_ns, state.st_ino) for one, state in states)
-
-
-def _waiting(path: Path) -> list[Path]:
-    """Return the `-wal` next to a file, if it is not empty."""
-    wal = path.with_name(path.name + WAL)
-    if not wal.exists():
-        return []
-    open_regular(wal).close()
-    return [wal] if wal.stat().st_size else []
+    """Return what changes when a file of a bag is written to."""
+    state = path.stat()
+    return str(path), state.st_size, state.st_mtime_ns, state.st_ino
 
 
 def _opened(path: Path, where: str) -> BagFile:
-    """Return a file of a bag; one that is compressed, or has a `-wal` of SQLite next to it, is read from a copy.
+    """Return a file of a bag; one that is compressed is read from a copy, which is removed with the returned object.
 
-    The copy is removed with the returned object. where: the file's name in messages.
+    where: the file's name in messages.
     """
-    before = _stamps(path)
+    wal = path.with_name(f"{path.name}-wal")
+    if wal.exists() and wal.stat().st_size:
+        hint = f"`sqlite3 {path} 'PRAGMA wal_checkpoint(TRUNCATE)'` merges them into the file"
+        raise InputError("messages of the bag wait in another file", where=where, found=wal.name, hint=hint)
     with open_regular(path) as file:
-        head = file.read(len(DB3))
-    waiting = _waiting(path) if head.startswith(DB3) else []
-    if not head.startswith(ZSTD) and not waiting:
+        packed = file.read(len(ZSTD)) == ZSTD
+    if not packed:
         return _reader(path, where)
     name = temporary_name(Path(gettempdir()) / "evetac-bag").name  # removes what processes that were killed left
     folder = Path(mkdtemp(prefix=name.removesuffix("tmp"), suffix=".tmp"))
     try:
-        copy = folder / "copy"
-        if waiting:
-            for one in (path, *waiting):
-                shutil.copyfile(one, f"{copy}{one.name.removeprefix(path.name)}")
-        else:
-            _unpack(path, copy, where)
-        if _stamps(path) != before:
-            raise InputError("the bag is still being written", where=where, hint="stop the recorder first")
-        if waiting:
-            with closing(sqlite3.connect(copy)) as database:  # merges what waits into the copy
-                database.execute("PRAGMA journal_mode = DELETE").fetchone()
-        bag = _reader(copy, where)
+        _unpack(path, folder / "copy", where)
+        bag = _reader(folder / "copy", where)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
     weakref.finalize(bag, shutil.rmtree, folder, ignore_errors=True)
-    bag.notes[:0] = [f"read together with {one.name} ({one.stat().st_size:,} bytes) next to it" for one in waiting]
     return bag
 
 

@@ -153,17 +153,15 @@ class McapFile(BagFile):
                 schemas.setdefault(record.id, record)
             elif isinstance(record, Channel):
                 channels.setdefault(record.id, record)
-        count, kept = self._counts.total(), f"kept {self._counts.total():,} messages"
-        if not count and self.cut_short:
-            found = next(iter(self._broken), f"{self._lost_bytes:,} bytes that are not a complete chunk")
+        kept = f"kept {self._counts.total():,} messages"
+        if not self._counts and self.cut_short:
+            found = f"{self._lost_bytes:,} bytes that are not a complete chunk"
             message = "no message can be read: the bag is cut short or damaged"
             raise InputError(message, where=self.where, found=found)
-        if self._broken:
-            self.notes.append(f"left out {self._broken.total():,} damaged chunks ({next(iter(self._broken))})")
         if self._lost_bytes:
-            lost = f"the last {self._lost_bytes:,} bytes are lost"
+            lost = f"the last {self._lost_bytes:,} bytes are lost, unless `mcap recover` saves some"
             self.notes.append(f"cut short or damaged: {kept} of complete chunks; {lost}")
-        elif self.cut_short and not self._broken:
+        elif self.cut_short:
             self.notes.append(f"the bag was not closed, probably because its recorder was killed: {kept}")
         connections = []
         for channel in channels.values():
@@ -174,34 +172,26 @@ class McapFile(BagFile):
         return connections
 
     def _records(self) -> Iterator[Any]:
-        """Yield all records up to the end or the first damage, and note the losses."""
+        """Yield all records up to the end or the first damage, and note the loss."""
         import zstandard
         from mcap.records import Chunk
         from mcap.stream_reader import StreamReader, breakup_chunk
 
-        self._broken, self._lost_bytes = Counter[str](), 0  # damaged chunks by reason; bytes after the last record
+        self._lost_bytes = 0  # after the last whole record
         with self.path.open("rb", buffering=0) as raw, _ExactReader(raw) as file:
             end = 0
             try:
                 for record in StreamReader(file, emit_chunks=True, record_size_limit=MOST_RECORD_BYTES).records:
-                    end = file.tell()
-                    if not isinstance(record, Chunk):
-                        yield record
-                        continue
-                    try:
+                    if isinstance(record, Chunk):
                         own = zstandard.frame_content_size(record.data) if record.compression == "zstd" else 0
                         refuse_too_much(max(record.uncompressed_size, own), len(record.data), self.where)
-                        records = breakup_chunk(record, validate_crc=True)
-                    except (EvetacError, MemoryError):
-                        raise
-                    except Exception as error:  # of mcap and the libraries that unpack
-                        self._broken[str(error) or type(error).__name__] += 1
-                        self.cut_short = True
-                        continue
-                    yield from records
+                        yield from breakup_chunk(record, validate_crc=True)
+                    else:
+                        yield record
+                    end = file.tell()
             except (EvetacError, MemoryError, OSError):
                 raise
-            except Exception:  # mcap raises all kinds where a file is cut or damaged
+            except Exception:  # mcap and the libraries that unpack raise all kinds where a file is cut or damaged
                 self.cut_short, self._lost_bytes = True, file.seek(0, 2) - end
 
 

@@ -23,7 +23,7 @@ from evetac_cli.formats.read.bags.bag_files import open_bag
 from evetac_cli.formats.read.bags.bag_readers import Connection
 from evetac_cli.formats.read.bags.read_rosbag import IMAGE, LAYOUTS, PROPHESEE, layout, topics_of_events
 from evetac_cli.formats.read.bags.ros_messages import Fields, Packet, decoder
-from evetac_cli.formats.read.prophesee.prophesee_words import PropheseeDecoder
+from evetac_cli.formats.read.prophesee.read_prophesee import PropheseeDecoder
 from evetac_cli.store.recordings.streams import Stream
 
 SAME_CLOCK_US = 1_000_000  # largest difference of a header and its events if both are on one clock

@@ -25,12 +25,14 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError, needs_extra
 from evetac_cli.formats.read.bags.bag_files import Bag, open_bag
 from evetac_cli.formats.read.bags.bag_readers import Connection, checksum
-from evetac_cli.formats.read.bags.read_rosbag import RECEPTION, SIMULATED_START_US, layout
+from evetac_cli.formats.read.bags.read_rosbag import layout
 from evetac_cli.formats.read.bags.ros_messages import NS, Fields
 from evetac_cli.formats.read.damage import read_in_words
 from evetac_cli.store.hdf5.disk import joined_on_disk
 from evetac_cli.store.recordings.streams import BLOCK_VALUES, LARGEST_FRAME_PX, Stream, free_name
 
+SIMULATED_START_US = 1_000_000  # a first stamp of 0 is one if the next is at most this
+RECEPTION = "the time at which the recorder received the message"
 MESSAGES_AT_ONCE = 1000  # messages of numbers that become one part of an array
 MOST_NUMBERS = 512  # of a message
 MOST_NAMED = 12  # topics or columns in a message

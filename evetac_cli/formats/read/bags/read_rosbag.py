@@ -9,7 +9,7 @@ evetac has its note on a topic.
 
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,6 @@ from evetac_cli.formats.note import Note, read_note
 from evetac_cli.formats.read.bags.bag_files import BAGS, Bag, Message, open_bag
 from evetac_cli.formats.read.bags.bag_readers import Connection, checksum
 from evetac_cli.formats.read.bags.ros_messages import (
-    NS,
     Fields,
     MessageEvents,
     Packet,
@@ -37,8 +36,6 @@ from evetac_cli.formats.read.source import NOT_RECORDED, EventColumns, EventSour
 
 EVENTS_TOPIC, NOTE_TOPIC = "/evetac/events", "/evetac/note"  # in exports of evetac
 NOTE_TYPE = "std_msgs/msg/String"
-SIMULATED_START_US = 1_000_000  # a first time of 0 is one if the next is at most this
-RECEPTION = "the time at which the recorder received the message"
 UNSET = "events whose time is 0, so never set"
 PROPHESEE = ("evt2", "evt3")
 Content = tuple[str, Any]  # a text on where a message is, and its events or packet
@@ -193,11 +190,8 @@ def _contents(bag: Bag, topic: str, kind: str, source: EventSource, encoding: st
 
     Raises InputError if layout, frame size or encoding change.
     """
-    lost, unset, expected = 0, 0, None
-    times = None if kind == PACKET else _EventTimes(_messages(bag, topic))
-    source.notes += [times.note] if times is not None and times.note else []
-    for number, found in enumerate(_messages(bag, topic)):
-        connection, _, message = found
+    lost, unset, timed, expected = 0, 0, False, None
+    for number, (connection, _, message) in enumerate(_messages(bag, topic)):
         where = f"{bag.path}: message {number} on {topic}"
         if layout(connection) != kind:
             raise InputError("the layout of the messages changes", where=where, found=connection.msgtype)
@@ -210,11 +204,14 @@ def _contents(bag: Bag, topic: str, kind: str, source: EventSource, encoding: st
                 raise InputError("the encoding changes", where=where, expected=encoding, found=content.encoding[:40])
             lost += expected is not None and content.sequence > expected and content.sequence - expected
             expected = content.sequence + 1
-        elif times is not None:
-            own = times.completed(content, found)
-            unset += len(content.t) - len(own.t)
-            content = own
+        else:
+            known = content.t != 0
+            timed |= bool(known.any())
+            unset += len(known) - int(np.count_nonzero(known))
+            content = MessageEvents(*(column[known] for column in content))
         yield where, content
+    if unset and not timed:
+        raise InputError("no event of the topic has a time", where=f"{bag.path}: {topic}", found="0 in all of them")
     if unset:
         source.left_out[UNSET] = unset
     if lost:
@@ -240,46 +237,6 @@ def _messages(bag: Bag, topic: str, *, of_type: str = "") -> Iterator[Message]:
     """Yield the messages of a topic that have events, or a given type."""
     of_topic = (one for one in bag.connections if one.topic == topic)
     return bag.messages([one for one in of_topic if (one.msgtype == of_type if of_type else layout(one))])
-
-
-class _EventTimes:
-    """Completes the times of events in messages that are not packets: a time of 0 was never set.
-
-    If no event of the topic has a time, each gets that of its message: its header's, or that of its reception if no
-    header has one either. Otherwise events without a time are left out, unless a simulation's clock begins with them.
-    note: on times that were replaced.
-    """
-
-    def __init__(self, messages: Iterator[Message]) -> None:
-        """Read messages until an event has a time."""
-        first_us = first_stamp_us = 0
-        for connection, _, message in messages:
-            with suppress(ValueError):  # refused when it is read
-                first_stamp_us = first_stamp_us or _stamp_us(connection, message)
-                _, events = LAYOUTS[layout(connection)](Fields(message, ros2=connection.ros2))
-                if events.t.any():
-                    first_us = int(events.t[events.t != 0][0])
-                    break
-        self._by_message = not first_us
-        self._by_reception = not first_us and not first_stamp_us
-        self._from_0 = 0 < (first_us or first_stamp_us) <= SIMULATED_START_US
-        source = RECEPTION if self._by_reception else "header.stamp of its message"
-        self.note = "" if first_us else f"no event has a time of its own: used {source}"
-
-    def completed(self, events: MessageEvents, message: Message) -> MessageEvents:
-        """Return the events of the next message that have a time."""
-        if self._by_message:
-            connection, received_ns, content = message
-            t_us = received_ns // NS if self._by_reception else _stamp_us(connection, content)
-            events = events._replace(t=np.full(len(events.t), t_us))
-        known = events.t != 0
-        if self._from_0 or known.all():
-            return events
-        return MessageEvents(*(column[known] for column in events))
-
-
-def _stamp_us(connection: Connection, message: bytes) -> int:
-    return Fields(message, ros2=connection.ros2).header()
 
 
 FORMAT = ImportFormat(tuple(BAGS), open_rosbag, ("stream",))

@@ -1,1 +1,1 @@
-"""Reader of Prophesee's files, RAW (EVT2, EVT2.1, EVT3) and DAT, and decoder of the words of RAW."""
+"""Reader of Prophesee's files, RAW (EVT2, EVT2.1, EVT3) and DAT."""

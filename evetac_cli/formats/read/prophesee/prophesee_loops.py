@@ -1,4 +1,4 @@
-"""The compiled loops of prophesee_words: decode the words of a block into columns. Each returns the number of events.
+"""The compiled loops of read_prophesee: decode the words of a block into columns. Each returns the number of events.
 
 - highs: the unwrapped high bits of time of the block, in the order of their words
 - state: one encodings.STATE, the values at the beginning of the block, updated to its end

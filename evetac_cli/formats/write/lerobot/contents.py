@@ -8,19 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICES_PER_S
-from evetac_cli.formats.write.lerobot import event_stacks, other_streams
+from evetac_cli.formats.write.lerobot import event_stacks
 from evetac_cli.formats.write.lerobot.episodes import (
     LARGEST_PX,
+    NUMBERS,
     Episode,
     EpisodeOutline,
+    StreamShapes,
     Vectors,
     choose_vectors,
+    image_key,
     names_of,
     require_alike,
+    shared_streams,
 )
 from evetac_cli.formats.write.lerobot.event_stacks import EventStacks
 from evetac_cli.formats.write.lerobot.meta_files import ACTION, STATE, VIDEO, Feature, indices, vector, video
-from evetac_cli.formats.write.lerobot.other_streams import NUMBERS, StreamShapes
 
 RULES = {
     "mean": "the mean of the frame's slices",
@@ -85,9 +88,9 @@ def choose(outlines: Sequence[EpisodeOutline], choices: Choices) -> tuple[FrameC
     frame_px = outlines[0].frame_px
     stacks = event_stacks.parse(choices.event_frames, choices.size, frame_px)
     vectors, left_out = choose_vectors(outlines)
-    streams, more = other_streams.shared([one.streams for one in outlines], LARGEST_PX)
+    streams, more = shared_streams([one.streams for one in outlines], LARGEST_PX)
     left_out += more
-    videos = {other_streams.image_key(name): name for name in streams.images}
+    videos = {image_key(name): name for name in streams.images}
     features = _features(vectors, stacks, videos, streams, frame_px, choices)
     return FrameContents(features, vectors, stacks, videos, choices), left_out
 

@@ -63,23 +63,16 @@ def test_events_of_a_camera_that_was_set_back_are_refused(write: Write, bag: str
 
 
 @pytest.mark.parametrize("bag", BAGS)
-@pytest.mark.parametrize("stamped", [True, False])
-def test_events_without_times_get_those_of_their_message(write: Write, bag: str, stamped: bool) -> None:
-    """Assert the time of the header, or else that of reception, whose order is the user's choice if it goes back."""
+def test_events_without_times_are_left_out(write: Write, bag: str) -> None:
+    """Assert that events whose time is 0 are counted, and that a topic without any other time is refused."""
     types = Types(bag)
-    own_us = [START_US + at * EVERY_US for at in range(MESSAGES)]
-    made = arrays(types, [0] * MESSAGES)
-    for us, message in zip(own_us, made, strict=True):
-        message.header = types.header(us if stamped else 0)
+    made = arrays(types, [0] + [START_US + at * EVERY_US for at in range(1, MESSAGES)])
+    for message in made[:1]:
         message.events = [types.make("dvs_msgs/msg/Event", one.x, one.y, types.time(0), True) for one in message.events]
-    path = write(bag, types, {"/e": made}, times_us=STEPPED_US)
-    if not stamped:
-        assert "time goes backwards" in refusal(path)
-    imported = read_events(path, order=OrderOptions(sort=not stamped))
-    wanted_us = own_us if stamped else sorted(STEPPED_US)
-    assert [row[0] for row in event_rows(imported)] == [us - wanted_us[0] for us in wanted_us for _ in range(10)]
-    source = "header.stamp of its message" if stamped else "the time at which the recorder received the message"
-    assert imported.notes[0] == f"no event has a time of its own: used {source}"
+    imported = read_events(write(bag, types, {"/e": made}))
+    assert imported.size == 10 * (MESSAGES - 1)
+    assert imported.left_out["events whose time is 0, so never set"] == 10
+    assert "no event of the topic has a time" in refusal(write(bag, types, {"/e": made[:1]}, "unset"))
 
 
 def joints(types: Types, us: int, names: list[str], position: list[float], velocity: list[float]) -> Any:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from evetac_cli.events import Events
+from evetac_cli.store.recordings.onset import covariates_of_truth, gel_counts
 from evetac_cli.store.recordings.read import open_recording, ramp_start, true_onset
-from evetac_cli.store.recordings.slip_covariates import covariates_of_truth, gel_counts
 from tests.conftest import Made
 from tests.make import event_arrays, write_recording
 

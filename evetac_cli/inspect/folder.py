@@ -1,4 +1,4 @@
-"""info FOLDER: counts of a data set's files, or those that satisfy conditions, from its index."""
+"""info FOLDER: counts of a data set's files, or those that satisfy conditions."""
 
 import re
 from collections import Counter
@@ -9,11 +9,10 @@ from typing import Any
 
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Outcome, Progress, silent
-from evetac_cli.store.index import IndexRow, read_index
+from evetac_cli.store.data_set import FileRow, foreign_files, read_data_set
 from evetac_cli.text_files import as_utf8
 
-HIDDEN = ("changed_ns", "inode")  # used to check whether a row is up to date
-NAMES = tuple(name for name in IndexRow._fields if name not in HIDDEN)  # columns for --where, shown in rows
+NAMES = FileRow._fields  # columns for --where
 SHOWN = ("path", "object", "sensor", "seed", "trial", "outcome")
 COUNTED = ("object", "sensor", "scene", "outcome")  # a table of counts for each
 MOST_UNREADABLE = 20  # files that are listed with their reasons
@@ -24,17 +23,17 @@ RANGE = re.compile("([0-9]{1,18})-([0-9]{1,18})")
 def answer(folder: Path, conditions: Sequence[str], progress: Progress = silent) -> Outcome:
     """Return counts of a data set's files; with conditions (`object=3`) its files."""
     fits = [_condition(condition) for condition in conditions]
-    index = read_index(folder, progress)
-    selected = [row for row in index.rows if all(fit(row) for fit in fits)]
-    foreign = len(index.foreign)
-    unreadable = sum(row.error is not None for row in index.rows)
-    totals = {"files": len(index.rows) - foreign, "unreadable": unreadable, "foreign": foreign}
+    every = read_data_set(folder, progress)
+    selected = [row for row in every if all(fit(row) for fit in fits)]
+    foreign = len(foreign_files(every))
+    unreadable = sum(row.error is not None for row in every)
+    totals = {"files": len(every) - foreign, "unreadable": unreadable, "foreign": foreign}
     summary: dict[str, Any] = {"folder": str(folder), **totals}
     if conditions:
-        rows = [{name: getattr(row, name) for name in NAMES} for row in selected]
+        rows = [row._asdict() for row in selected]
         summary["fit"] = len(rows)
     else:
-        rows = _counts(index.rows)
+        rows = _counts(every)
     return Outcome(rows, any(row.simulated for row in selected), summary)
 
 
@@ -45,9 +44,9 @@ def for_people(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [{name: row[name] for name in names} if "path" in row else row for row in rows]
 
 
-def _counts(rows: Sequence[IndexRow]) -> list[dict[str, Any]]:
+def _counts(rows: Sequence[FileRow]) -> list[dict[str, Any]]:
     """Return counts of files by kind, per object, sensor, scene and outcome, and the files that cannot be read."""
-    by_kind: dict[str, list[IndexRow]] = {}
+    by_kind: dict[str, list[FileRow]] = {}
     for row in rows:
         if row.kind is not None:
             by_kind.setdefault(row.kind, []).append(row)
@@ -67,7 +66,7 @@ def _counts(rows: Sequence[IndexRow]) -> list[dict[str, Any]]:
     return counts + [{"unreadable": row.path, "reason": row.error} for row in unreadable]
 
 
-def _condition(condition: str) -> Callable[[IndexRow], bool]:
+def _condition(condition: str) -> Callable[[FileRow], bool]:
     """Return a function that returns whether a row satisfies `NAME=VALUE`; raise InputError for an unknown name.
 
     A value is a text, a number, a range of whole numbers (`7-9`), `none`, or several of these separated by commas.
@@ -83,10 +82,10 @@ def _condition(condition: str) -> Callable[[IndexRow], bool]:
             hint=f"did you mean {near[0]}=...?" if near else "",
         )
     ranges = [(int(limits[1]), int(limits[2])) for limits in map(RANGE.fullmatch, wanted.split(",")) if limits]
-    # A path need not be valid text; in other texts of the index, invalid bytes are escaped.
+    # A path need not be valid text; in other texts, invalid bytes are escaped.
     texts = {text for value in wanted.split(",") if value != MISSING for text in (value, as_utf8(value))}
 
-    def fits(row: IndexRow) -> bool:
+    def fits(row: FileRow) -> bool:
         value = getattr(row, name)
         if value is None:
             return MISSING in wanted.split(",")
