@@ -11,8 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.realtime import shared_time
-from evetac_cli.realtime.shared_time import CREEP, HOST_TIME, PATIENCE_S, SharedTime
+from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
+from evetac_cli.realtime.shared_time import CREEP, HOST_TIME, Bell, SharedTime
+from tests.patience import PATIENCE_S
 
 START = 32  # of the clock in its file
 
@@ -91,7 +94,7 @@ def test_patience_ends(clock: SharedTime, host: Host) -> None:
     for _ in range(100):
         host.s += 0.1
         clock.limit(1000.1)
-    assert clock.now_s() == pytest.approx(host.s - PATIENCE_S)
+    assert clock.now_s() == pytest.approx(host.s - shared_time.PATIENCE_S)
 
 
 def test_sleep_waits_by_it(clock: SharedTime, host: Host) -> None:
@@ -104,7 +107,7 @@ def test_sleep_waits_by_it(clock: SharedTime, host: Host) -> None:
     assert clock.now_s() == pytest.approx(began_s + 0.02, abs=1e-3)
     clock.sleep(0.5)  # past the limit: until the patience is over
     assert clock.now_s() == pytest.approx(began_s + 0.52, abs=2e-3)
-    assert host.s == pytest.approx(1000.52 + PATIENCE_S + 0.5, abs=0.01)
+    assert host.s == pytest.approx(1000.52 + shared_time.PATIENCE_S + 0.5, abs=0.01)
 
 
 def _ask(clock: SharedTime, answers: Connection) -> None:
@@ -122,3 +125,49 @@ def test_another_process_has_the_same_clock(clock: SharedTime) -> None:
     assert answers.recv() >= now
     assert clock.reader_s == 7.5
     assert clock.now_s() <= time.monotonic()
+
+
+SILENCE_S = 0.001  # after which no ring is still expected
+
+
+def publish(shared: SharedStatus, slips: int) -> None:
+    shared.publish(DetectorStatus(SlipSignal(slips), 1, 0.0, 0.0, 0.0, ()))
+
+
+def test_rings_before_and_while_it_is_waited_for() -> None:
+    """Assert that a ring before counts once, however many there were, and that silence takes as long as it is given."""
+    bell = Bell()
+    assert not bell.wait(SILENCE_S)
+    for _ in range(3):
+        bell.ring()
+    assert bell.wait(PATIENCE_S)
+    assert not bell.wait(SILENCE_S)
+
+
+def test_whoever_rings_never_waits() -> None:
+    """Assert that more rings than a pipe holds are no error, nor a wait, and still one ring."""
+    bell = Bell()
+    for _ in range(1 << 17):
+        bell.ring()
+    assert bell.wait(PATIENCE_S)
+
+
+def test_new_slip_rings_and_nothing_else() -> None:
+    """Assert that a status rings only with more slip than any before it, and is there when it does."""
+    shared = SharedStatus()
+    for slips, rings in ((0, False), (1, True), (1, False), (3, True), (3, False)):
+        publish(shared, slips)
+        assert shared.slip_bell.wait(SILENCE_S) == rings
+        status = shared.latest()
+        assert status is not None
+        assert status.signal.slips == slips
+
+
+def test_it_wakes_another_process() -> None:
+    """Assert that slip that is published in one process is heard in another."""
+    shared = SharedStatus()
+    process = multiprocessing.get_context("spawn").Process(target=publish, args=(shared, 1))
+    process.start()
+    assert shared.slip_bell.wait(PATIENCE_S)
+    process.join(PATIENCE_S)
+    assert process.exitcode == 0
