@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from evetac_cli.arrays import Floats
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.gel import gel
+from evetac_cli.sim.gel.force_balance import Three
 from evetac_cli.sim.gel.friction import FrictionLaw
-from evetac_cli.sim.gel.pad import PadArrays, parts_of
+from evetac_cli.sim.gel.pad import Arrays, PadArrays, parts_of
 from evetac_cli.sim.gel.time_step import STEP, TOO_LONG, Allowed, Load, StepRule, step_nodes
 from evetac_cli.sim.setup.solver import MOST_HALVINGS, Solver
 
@@ -32,6 +33,9 @@ from evetac_cli.sim.setup.solver import MOST_HALVINGS, Solver
 STEEPEST = 0.25
 LONGER = 0.3  # share of the tolerance below which steps double in length, which raises the error two to four times
 MOST_SWEEPS = 400  # limit of the search for the balance in a step
+
+
+Done = tuple[int, float, tuple[float, float], Three, float, float, Three]  # the values of a Slice
 
 
 class Slice(NamedTuple):
@@ -77,12 +81,9 @@ SLICE = np.dtype(
 )
 
 
-class Pressed(NamedTuple):
-    """A pad, each node's share of the normal force, and their squeeze."""
-
-    pad: PadArrays
-    shares: Floats
-    squeeze: Floats
+# A pad's arrays, each node's share of the normal force, and their squeeze. From Python to `_step_slice` all tuples are
+# plain: numba took 6 us more to take named ones, and 3 us more to return one, half of a slice at rest.
+Pressed = tuple[Arrays, Floats, Floats]
 
 
 @dataclass
@@ -128,21 +129,21 @@ class Stepper:
             wanted = gel.three(prescribed_twist)
             # nothing oscillates on an object held still: most damping brings the gel to rest soonest
             theta = theta if any(wanted) else 1.0
-        load = Load(gel.three(body_force_n), prescribed_twist is not None, wanted)
+        load, law = (gel.three(body_force_n), prescribed_twist is not None, wanted), friction.law[:]
         pressed, second = self._press(0, state, shares), None
         if self.second is not None:
             assert second_shares is not None
             second = self._press(1, self.second, second_shares)
-        record, results, done = self._record, self._results, Slice()
+        record, results = self._record, self._results
         record["done"] = 0.0
         while record["done"][0] < 1.0:
             one = each is not None
-            fault, done = _step_slice(pressed, second, force_n, load, friction.law, theta, record, results, one)
+            fault, done = _step_slice(pressed, second, force_n, load, law, theta, record, results, one)
             if fault:
                 raise ValueError(gel.FAULTS[fault])
             if each is not None:
                 each(gel.step_info(results, self.solver.residual), float(record["step_s"][0]))
-        return done
+        return Slice(*done)
 
     def _press(self, pad: int, state: gel.GelState, shares: Floats) -> Pressed:
         """Return a pad under a pressure; the squeeze is computed again for another pad or another array of shares."""
@@ -150,13 +151,13 @@ class Stepper:
         if kept is None or kept[0] is not state or kept[1] is not shares:
             assert shares.shape == state.stuck.shape
             kept = self._kept[pad] = (state, shares, state.squeezed(shares))
-        return Pressed(state.pad, state.gripping(shares), kept[2])
+        return state.arrays, state.gripping(shares), kept[2]
 
 
 @njit(cache=True, _nrt=False)
-def _press(pressed: Pressed, normal_n: float) -> None:
+def _press(pad: PadArrays, shares: Floats, normal_n: float) -> None:
     """Set the nodes' parts of a normal force in the memory of their pad."""
-    normal, shares = parts_of(pressed.pad).work.normal, pressed.shares
+    normal = parts_of(pad).work.normal
     for row in range(shares.shape[0]):
         for column in range(shares.shape[1]):
             normal[row, column] = shares[row, column] * normal_n
@@ -167,18 +168,19 @@ def _step_slice(
     pressed: Pressed,
     second: Pressed | None,
     force_n: tuple[float, float],
-    load: Load,
-    law: FrictionLaw,
+    load_of: tuple[Three, bool, Three],
+    law_of: tuple[float, float, float, float],
     theta: float,
     record: NDArray[np.void],
     results: NDArray[np.void],
     one: bool,
-) -> tuple[int, Slice]:
+) -> tuple[int, Done]:
     """Make the steps of a slice, or only one more; return the number of an error, or 0, and the results so far.
 
     A loop in compiled code, because returning to Python after each step took 9 us more per step.
     """
-    state, result = record[0], results[0]
+    (arrays, shares, squeeze), load, law = pressed, Load(*load_of), FrictionLaw(*law_of)
+    pad, state, result = PadArrays(*arrays), record[0], results[0]
     slice_s, fixed_steps, allowed_m = state["slice_s"], state["fixed_steps"], state["allowed_m"]
     if state["done"] == 0.0:
         state["steps"], state["error_m"] = 0, 0.0
@@ -190,18 +192,20 @@ def _step_slice(
         share = 1.0 / fixed_steps if fixed_steps else math.ldexp(1.0, -halved)
         dt_s = share * slice_s
         normal_n = force_n[0] + (state["done"] + theta * share) * (force_n[1] - force_n[0])
-        _press(pressed, normal_n)
+        _press(pad, shares, normal_n)
         if second is None:
             second_pad = None
         else:
-            _press(second, normal_n)
-            second_pad = (second.pad, (second.squeeze, normal_n))
+            arrays_2, shares_2, squeeze_2 = second
+            pad_2 = PadArrays(*arrays_2)
+            _press(pad_2, shares_2, normal_n)
+            second_pad = (pad_2, (squeeze_2, normal_n))
         allowed = Allowed(math.inf, math.inf, True)
         if not fixed_steps and halved < MOST_HALVINGS:
             steepest = math.inf if load.prescribed else STEEPEST
             allowed = Allowed(allowed_m, steepest, halved >= state["allowed_halvings"])
         rule = StepRule(dt_s, theta, state["residual"], MOST_SWEEPS, allowed)
-        fault = step_nodes(pressed.pad, (pressed.squeeze, normal_n), second_pad, load, law, rule, results)
+        fault = step_nodes(pad, (squeeze, normal_n), second_pad, load, law, rule, results)
         if fault == TOO_LONG:
             state["halvings"] += 1
             continue
@@ -224,7 +228,7 @@ def _step_slice(
         if one:
             break
     slip, force, force_2 = state["slip_m"], state["friction_n"], state["second_friction_n"]
-    done = Slice(
+    done = (
         state["steps"],
         state["error_m"],
         (slip[0], slip[1]),

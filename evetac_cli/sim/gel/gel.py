@@ -174,7 +174,7 @@ class GelState:
         self._hold(pad)
 
     def _hold(self, pad: PadArrays) -> None:
-        self.pad, parts = pad, parts_of.py_func(pad)
+        self.pad, self.arrays, parts = pad, pad[:], parts_of.py_func(pad)
         self.node_xy_m: Floats = parts.node_xy_m
         self.inertia: Floats = parts.inertia
         self.pose: Floats = parts.pose
@@ -213,7 +213,7 @@ class GelState:
 
     def settle(self) -> bool:
         """Set motion and pull that are too small to matter to 0; return whether the gel is then at rest."""
-        return bool(settle(self.pad))
+        return bool(settle(self.arrays))
 
     def copy(self) -> "GelState":
         """Return an independent copy of the present state."""

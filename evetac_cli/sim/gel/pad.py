@@ -38,6 +38,9 @@ CONSTANTS = np.dtype(
 )
 
 
+Arrays = tuple[Floats, Floats, Floats, NDArray[np.void], Floats, Floats, Flags]  # the values of PadArrays
+
+
 class PadArrays(NamedTuple):
     """Arrays of a pad and of the object on it.
 
@@ -193,9 +196,9 @@ def parts_of(pad: PadArrays) -> PadParts:
 
 
 @njit(cache=True, _nrt=False)
-def settle(pad: PadArrays) -> bool:
+def settle(arrays: Arrays) -> bool:
     """Set velocities and Maxwell forces to 0 if all are below the thresholds; return whether they are."""
-    parts = parts_of(pad)
+    parts = parts_of(PadArrays(*arrays))
     moving, lately, stretching = parts.velocity_m_s.reshape(-1), parts.mean_m_s.reshape(-1), parts.sheet_m_s.reshape(-1)
     lagging, moved, creeping = parts.maxwell_n.reshape(-1), parts.displacement_m.reshape(-1), parts.creep_n.reshape(-1)
     stretched = parts.sheet_m.reshape(-1)
