@@ -24,7 +24,7 @@ from evetac_cli.formats.write.lerobot import event_stacks
 from evetac_cli.formats.write.lerobot.contents import Choices
 from evetac_cli.kernels.event_representation import Representation
 from evetac_cli.sim.setup.plan import HIGHEST_TONE_HZ
-from evetac_cli.sim.setup.solver import LIFT_PITCH_MM, Solver
+from evetac_cli.sim.setup.scene import LIFT_PITCH_MM, Solver
 from evetac_cli.stages import train, trim
 from evetac_cli.stages.identify import gripper_rows
 from evetac_cli.stages.train import validating

@@ -46,10 +46,9 @@ from evetac_cli.sim.scenes.shared import (
 )
 from evetac_cli.sim.setup import object_file, plan, sampling
 from evetac_cli.sim.setup.object_file import TouchedObject
-from evetac_cli.sim.setup.scene import GelSettings, Randomised, Scene, SceneTimes
+from evetac_cli.sim.setup.scene import GelSettings, Randomised, Scene, SceneTimes, Solver, with_given
+from evetac_cli.sim.setup.scene_part import untimed
 from evetac_cli.sim.setup.sensor import Sensor
-from evetac_cli.sim.setup.solver import Solver, with_given
-from evetac_cli.sim.timing import untimed
 from evetac_cli.text_files import require_finite
 
 SLICE_NS = SLICE_US * 1000

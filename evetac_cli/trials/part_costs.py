@@ -21,7 +21,7 @@ from evetac_cli.events import SLICES_PER_S, Events
 from evetac_cli.jobs import Outcome, Progress, silent
 from evetac_cli.sim.camera.camera_parts import Camera, Dots
 from evetac_cli.sim.setup.scene import Scene
-from evetac_cli.sim.timing import Call, Timer
+from evetac_cli.sim.setup.scene_part import Call, Timer
 from evetac_cli.trials.trial import SimulatedTrial, grid_notes
 
 REPEATS = 3  # most repeats

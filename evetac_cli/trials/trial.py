@@ -20,7 +20,7 @@ from evetac_cli.jobs import Job, Rows
 from evetac_cli.names import Capability
 from evetac_cli.sim.setup.object_file import seed_of
 from evetac_cli.sim.setup.plan import Plan, plans, with_second
-from evetac_cli.sim.setup.solver import Solver
+from evetac_cli.sim.setup.scene import Solver
 from evetac_cli.stages import one_file
 from evetac_cli.store.recordings import slip_grid
 from evetac_cli.store.recordings.segments import refuse_leftover
@@ -278,7 +278,7 @@ def nodes_of_slip(trial: SimulatedTrial, grip: float = 1.0) -> float:
 
     grip: normal force over the slip limit. SceneError if the trial cannot be simulated.
     """
-    from evetac_cli.sim.scenes.building import simulation_of  # imports numba
+    from evetac_cli.sim.parts import simulation_of  # imports numba
     from evetac_cli.sim.scenes.gripped import GraspSimulation
 
     simulation = simulation_of(trial.plan, trial.seeds())

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from evetac_cli.events import concatenate
 from evetac_cli.formats.imports import read_events
 from evetac_cli.kernels.noise_filter import NoiseFilter
-from evetac_cli.sim.camera.event_keys import Columns
+from evetac_cli.sim.camera.readout import Columns
 from tests.sim.camera.small_frames import FRAME, QUIET, line, play, start
 
 NOISY = dataclasses.replace(QUIET, noise_rate_hz=20.0, hot_pixels=3, hot_rate_hz=(500.0, 900.0))

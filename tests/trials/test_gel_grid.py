@@ -9,7 +9,7 @@ import pytest
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.jobs import Job
 from evetac_cli.sim.setup import scene_file
-from evetac_cli.sim.setup.solver import LIFT_PITCH_MM, Solver
+from evetac_cli.sim.setup.scene import LIFT_PITCH_MM, Solver
 from evetac_cli.store.recordings.slip_grid import FEWEST_NODES
 from evetac_cli.trials import grasp
 from evetac_cli.trials.grasp.settings import SimulatedGrasp

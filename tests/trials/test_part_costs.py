@@ -17,7 +17,7 @@ from evetac_cli.commands.record import Record
 from evetac_cli.jobs import Outcome
 from evetac_cli.sim.parts import rows_of
 from evetac_cli.sim.setup.plan import Plan
-from evetac_cli.sim.timing import Timer, untimed
+from evetac_cli.sim.setup.scene_part import Timer, untimed
 from evetac_cli.trials import grasp, part_costs, record
 from evetac_cli.trials.part_costs import BLOCK, Append, CallTimer, PartCosts, for_people, measure
 from evetac_cli.trials.record import simulated

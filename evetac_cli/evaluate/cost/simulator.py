@@ -40,7 +40,7 @@ from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.contact import gap_profile, pad_nodes, pressure
 from evetac_cli.sim.scenes.shared import GRAVITY_M_S2
 from evetac_cli.sim.scenes.true_slip import SLIP_PX, GroundTruthSlip
-from evetac_cli.sim.setup.solver import Solver
+from evetac_cli.sim.setup.scene import Solver
 
 PAD_M = (20e-3, 15e-3)
 MM_PER_PX = 0.0329

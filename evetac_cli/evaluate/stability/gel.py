@@ -35,7 +35,7 @@ from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.contact import gap_profile, pad_nodes, pressure
 from evetac_cli.sim.scenes.shared import GRAVITY_M_S2
 from evetac_cli.sim.scenes.true_slip import SLIP_PX, GroundTruthSlip
-from evetac_cli.sim.setup.solver import Solver
+from evetac_cli.sim.setup.scene import Solver
 from evetac_cli.store.recordings import slip_grid
 
 X_RANGE_M, Y_RANGE_M = (-10e-3, 10e-3), (-7.5e-3, 7.5e-3)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import optics
-from evetac_cli.sim.camera.dot_shapes import differing_row
-from evetac_cli.sim.camera.event_keys import event_key
+from evetac_cli.sim.camera.optics import differing_row
+from evetac_cli.sim.camera.readout import event_key
 from evetac_cli.sim.camera.scanning.pixels import GelPixels, ScanTimes, WindowPixels
 
 # Slices in which leak visits every row once: a divisor of 480, so that all slices visit the same number of rows.

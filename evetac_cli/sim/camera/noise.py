@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.compiled import njit
-from evetac_cli.sim.camera.event_keys import event_key
+from evetac_cli.sim.camera.readout import event_key
 from evetac_cli.sim.setup.sensor import HotPixelTable
 
 

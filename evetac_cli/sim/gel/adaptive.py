@@ -22,7 +22,7 @@ from evetac_cli.sim.gel.force_balance import Three
 from evetac_cli.sim.gel.friction import FrictionLaw
 from evetac_cli.sim.gel.pad import Arrays, PadArrays, parts_of
 from evetac_cli.sim.gel.time_step import STEP, TOO_LONG, Allowed, Load, StepRule, step_nodes
-from evetac_cli.sim.setup.solver import MOST_HALVINGS, Solver
+from evetac_cli.sim.setup.scene import MOST_HALVINGS, Solver
 
 # Limit for `Allowed.steepness`, measured on a gel as stiff along a wave as across it. At the default tolerance, the
 # onset of slip is within 0.25 ms of that of steps of 10 us. This was measured in 16 trials (seeds 0 to 15) of each plan

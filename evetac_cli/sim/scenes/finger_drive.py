@@ -11,8 +11,7 @@ from evetac_cli.sim.gripper import Mode
 from evetac_cli.sim.scenes.shared import STEP_S
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import SampledTrial
-from evetac_cli.sim.setup.scene_part import Essential, OfGripper
-from evetac_cli.sim.timing import Timer
+from evetac_cli.sim.setup.scene_part import Essential, OfGripper, Timer
 
 APPROACH_TICKS = -4.0  # start of a lift scene: position relative to touch
 

@@ -15,8 +15,7 @@ from evetac_cli.sim.gel.cell_gaps import CellGaps
 from evetac_cli.sim.scenes.shared import STEP_S
 from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
 from evetac_cli.sim.setup.plan import Plan
-from evetac_cli.sim.setup.scene_part import ScenePart
-from evetac_cli.sim.timing import Timer
+from evetac_cli.sim.setup.scene_part import ScenePart, Timer
 
 # From coordinates of the pad, which are those of the first sensor, to those of the first sensor's image and of the
 # second's, which faces it; and back.

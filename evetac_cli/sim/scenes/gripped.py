@@ -31,7 +31,7 @@ from evetac_cli.sim.scenes.shared import ChangeOfFriction, SolverTruth, friction
 from evetac_cli.sim.setup.object_file import seed_of
 from evetac_cli.sim.setup.plan import SECOND, Plan
 from evetac_cli.sim.setup.sampling import SampledTrial, sample_trial, sensor_with_gel
-from evetac_cli.sim.timing import Timer, untimed
+from evetac_cli.sim.setup.scene_part import Timer, untimed
 
 LEAST_FRICTION = 1e-6  # below, the holding force would not be finite
 TEXTURE_PX = (1024, 1024)  # size of an object's texture

@@ -23,7 +23,7 @@ from evetac_cli.sim import gripper
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
 from evetac_cli.sim.gel.cell_gaps import CellGaps
-from evetac_cli.sim.gel.pressure_law import PressureLaw
+from evetac_cli.sim.gel.friction import PressureLaw
 from evetac_cli.sim.scenes.gel_view import GelView
 from evetac_cli.sim.scenes.shared import (
     GRAVITY_M_S2,
@@ -38,8 +38,7 @@ from evetac_cli.sim.scenes.shared import (
 from evetac_cli.sim.setup.held import SecondFingerSettings
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import SampledTrial, sensor_with_gel
-from evetac_cli.sim.setup.scene_part import ScenePart
-from evetac_cli.sim.timing import Timer
+from evetac_cli.sim.setup.scene_part import ScenePart, Timer
 
 FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, from fingers, links and mounts; fitted to the paper's two bottles
 CLOSING_S, CLOSING_STEPS = 0.5, 10  # time and steps in which a finger closes on a ramp's object, before the trial

@@ -36,7 +36,7 @@ from evetac_cli.sim.scenes.shared import (
 from evetac_cli.sim.setup.driven import Face, FaceMotion
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import sample_trial, sensor_with_gel
-from evetac_cli.sim.timing import Timer, untimed
+from evetac_cli.sim.setup.scene_part import Timer, untimed
 
 LONGEST_S = 24 * 3600.0  # the limit of every recording
 NO_HOLE = np.zeros(0)

@@ -13,14 +13,12 @@ from evetac_cli.events import SLICES_PER_S
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
 from evetac_cli.sim.gel.cell_gaps import CellGaps
-from evetac_cli.sim.gel.friction import varied
-from evetac_cli.sim.gel.pressure_law import PressureLaw
+from evetac_cli.sim.gel.friction import PressureLaw, varied
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import SampledTrial
-from evetac_cli.sim.setup.scene_part import Essential, OfGripper, ScenePart
+from evetac_cli.sim.setup.scene import Solver
+from evetac_cli.sim.setup.scene_part import Essential, OfGripper, ScenePart, Timer, untimed
 from evetac_cli.sim.setup.sensor import PAD_M, Sensor
-from evetac_cli.sim.setup.solver import Solver
-from evetac_cli.sim.timing import Timer, untimed
 
 STEP_S = 1e-3  # duration of a slice
 GRAVITY_M_S2 = 9.81
@@ -59,7 +57,7 @@ class VaryingFriction(ScenePart):
 
 
 class FrictionOverPressure(OfGripper):
-    """Friction that grows less than in proportion to pressure; see gel/pressure_law."""
+    """Friction that grows less than in proportion to pressure; see gel/friction."""
 
     NAME = "friction over pressure"
     KEYS = ("sensor.friction.pressure_exponent", "scene.randomise.pressure_exponent")

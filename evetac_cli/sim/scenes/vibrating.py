@@ -38,7 +38,7 @@ from evetac_cli.sim.scenes.shared import material
 from evetac_cli.sim.scenes.true_slip import NO_SLIP
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import sensor_with_gel
-from evetac_cli.sim.timing import Timer, untimed
+from evetac_cli.sim.setup.scene_part import Timer, untimed
 
 ORDERS = np.array([0.5, 1.0, 1.5, 2.0, 2.5])  # frequencies of the surface's waves, as multiples of the tone
 FADE_S = 0.02  # the tone fades in and out over this time, because its response is the stationary one

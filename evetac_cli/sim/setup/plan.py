@@ -18,10 +18,9 @@ from evetac_cli import plugins
 from evetac_cli.errors import InputError, did_you_mean
 from evetac_cli.sim.setup import object_file, sampling, scene_file, sensor_file
 from evetac_cli.sim.setup.object_file import TouchedObject
-from evetac_cli.sim.setup.scene import KINDS, Scene, Texture
+from evetac_cli.sim.setup.scene import KINDS, Scene, Texture, with_given
 from evetac_cli.sim.setup.sensor import Sensor, SensorRanges
 from evetac_cli.sim.setup.sensor_file import FOR_EACH_TRIAL, rows
-from evetac_cli.sim.setup.solver import with_given
 from evetac_cli.sim.setup.tables import as_table, read_table
 
 READOUT = "dvxplorer"  # scans; in every recipe since there was a second readout, so that ids stay the same

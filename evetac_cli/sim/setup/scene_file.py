@@ -9,8 +9,7 @@ from typing import Any
 from evetac_cli import plugins
 from evetac_cli.errors import SceneError, did_you_mean
 from evetac_cli.resources import SCENES
-from evetac_cli.sim.setup.scene import Scene
-from evetac_cli.sim.setup.solver import LIFT_PITCH_MM
+from evetac_cli.sim.setup.scene import LIFT_PITCH_MM, Scene
 from evetac_cli.sim.setup.tables import as_table, read_table
 from evetac_cli.text_files import as_toml, read_toml
 

@@ -2,11 +2,12 @@
 
 A scene pays run time only for the parts that scene and sensor name. A part that simulates something is built by `of`,
 in the one place where it acts. A part that is a value of another part has nothing to build. `evetac_cli.sim.parts`
-lists all of them, for dry runs, docs and tests.
+lists all of them, for dry runs, docs and tests. A Timer measures the calls that represent a part.
 """
 
+from collections.abc import Callable
 from dataclasses import fields, replace
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -126,3 +127,18 @@ def _shown(value: Any) -> str:
             return _shown(value[0])  # a range of one number
         return f"[{', '.join(map(_shown, value))}]"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+Call = TypeVar("Call", bound=Callable[..., Any])
+
+
+class Timer(Protocol):
+    """Measures the calls that belong to a part; code that makes such calls wraps them once and keeps the result."""
+
+    def __call__(self, part: str, call: Call) -> Call:
+        """Return the call, wrapped so that its time is counted for the part."""
+
+
+def untimed(part: str, call: Call) -> Call:
+    """Return the call itself: nothing is measured, so it costs nothing."""
+    return call

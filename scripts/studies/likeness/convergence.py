@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.jobs import Row
-from evetac_cli.sim.setup.solver import Solver
+from evetac_cli.sim.setup.scene import Solver
 from evetac_cli.trials.trial import SimulatedTrial
 from scripts.reproduce.table_text import as_table
 from scripts.studies.likeness.trials import (

@@ -7,7 +7,7 @@ import pytest
 
 from evetac_cli.evaluate.cost import simulator as cost
 from evetac_cli.evaluate.cost.simulator import draw_trial, onset_ms, solve
-from evetac_cli.sim.setup.solver import Solver
+from evetac_cli.sim.setup.scene import Solver
 
 
 def test_onset_by_hand() -> None:

@@ -18,7 +18,7 @@ from evetac_cli.evaluate.stability.gel import (
 )
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Stepper
-from evetac_cli.sim.setup.solver import Solver
+from evetac_cli.sim.setup.scene import Solver
 
 CASES = {case.name: case for case in gel_cases()}
 ONSETS = {case.name: (case, within_s) for case, within_s in onset_cases()}

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from evetac_cli.sim.camera.event_keys import sorted_columns
 from evetac_cli.sim.camera.noise import HotPixels, Noise, add_noise, hot_rates
+from evetac_cli.sim.camera.readout import sorted_columns
 from evetac_cli.sim.setup.sensor import HotPixelTable
 
 FRAME = (64, 48)

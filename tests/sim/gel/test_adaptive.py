@@ -7,7 +7,7 @@ from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.gel.contact import gap_profile, pad_nodes, pressure
 from evetac_cli.sim.gel.time_step import STEP, TOO_LONG, Allowed, Load, StepRule, step_nodes
-from evetac_cli.sim.setup.solver import Solver
+from evetac_cli.sim.setup.scene import Solver
 
 FRICTION = gel.Friction(0.8, 0.64, 0.01, 20e-6)
 WEIGHT_N = np.array([0.981, 0.0, 0.0])

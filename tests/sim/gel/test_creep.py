@@ -8,7 +8,7 @@ import pytest
 
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.scenes.shared import GelSlices
-from evetac_cli.sim.setup.solver import Solver
+from evetac_cli.sim.setup.scene import Solver
 
 CELL_M2 = 1e-6
 GLUED = gel.Friction(1.0, 1.0)

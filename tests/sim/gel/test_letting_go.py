@@ -19,7 +19,7 @@ from evetac_cli.evaluate.cost.simulator import draw_trial
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.scenes.shared import GRAVITY_M_S2
-from evetac_cli.sim.setup.solver import Solver
+from evetac_cli.sim.setup.scene import Solver
 
 pytestmark = pytest.mark.slow
 

@@ -6,7 +6,7 @@ import pytest
 from evetac_cli.arrays import Floats
 from evetac_cli.sim.gel.cell_gaps import SAMPLES, CellGaps, gaps_of
 from evetac_cli.sim.gel.contact import gap_profile, pad_nodes, pressure
-from evetac_cli.sim.gel.pressure_law import PressureLaw
+from evetac_cli.sim.gel.friction import PressureLaw
 
 EXPONENTS = (0.1, 0.33, 0.67, 1.0)
 SHAPES = [("cylinder", 0.004), ("cylinder", 0.0), ("sphere", 0.01), ("flat", 0.007), ("flat", 0.0)]

@@ -7,7 +7,7 @@ import pytest
 
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Stepper
-from evetac_cli.sim.setup.solver import Solver
+from evetac_cli.sim.setup.scene import Solver
 
 NODES = contact.pad_nodes(12, 9, (-10e-3, 10e-3), (-7.5e-3, 7.5e-3))
 EVEN = np.full((9, 12), 1 / 108)

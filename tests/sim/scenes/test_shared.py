@@ -11,7 +11,7 @@ from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.scenes.shared import GelSlices
-from evetac_cli.sim.setup.solver import Solver
+from evetac_cli.sim.setup.scene import Solver
 from tests.sim.scenes.test_pressing import pressing
 
 FRICTION = gel.Friction(0.8, 0.6)

@@ -8,7 +8,7 @@ from evetac_cli.sim.gel import contact, dots, gel
 from evetac_cli.sim.gel.adaptive import Stepper
 from evetac_cli.sim.scenes.shared import material, pad, press
 from evetac_cli.sim.setup.plan import one_sensor
-from evetac_cli.sim.setup.solver import Solver
+from evetac_cli.sim.setup.scene import Solver
 
 SENSOR = one_sensor("evetac")
 DEEPEST_M = 0.3e-3

@@ -13,7 +13,8 @@ from evetac_cli.sim.parts import PARTS
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.driven import Face
 from evetac_cli.sim.setup.plan import first_plan
-from evetac_cli.sim.setup.scene import LightSettings, LightStep
+from evetac_cli.sim.setup.scene import LightSettings, LightStep, Solver, with_given
+from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.text_files import as_toml
 
 
@@ -76,3 +77,19 @@ def test_a_packaged_scene_that_is_changed(tmp_path: Path) -> None:
     path.write_text(scene_file.changed("shear", {"motion": {"shear_nn": 4.0}}))
     with pytest.raises(SceneError, match="did you mean"):
         scene_file.load(str(path))
+
+
+def test_a_step_takes_the_place_of_a_tolerance_and_the_other_way() -> None:
+    """Assert that of a tolerance and a fixed step the one that is given holds, whatever the scene names."""
+    fixed = with_given(Solver(tolerance_um=0.05), {"step_ms": 0.5}, "here")
+    assert fixed.step_ms == 0.5
+    assert "tolerance_um" not in as_table(fixed)
+    adaptive = with_given(Solver(step_ms=0.5, theta=0.6), {"tolerance_um": 0.05}, "here")
+    assert (adaptive.tolerance_um, adaptive.theta) == (0.05, 0.6)
+    assert "step_ms" not in as_table(adaptive)
+
+
+@pytest.mark.parametrize(("tolerance_um", "halvings"), [(0.2, 3), (0.1, 4), (0.05, 5), (1e-9, 7), (0.4, 2), (1e3, 0)])
+def test_a_smaller_tolerance_may_halve_more_often(tolerance_um: float, halvings: int) -> None:
+    """Assert how often a slice may be halved at a tolerance."""
+    assert Solver(tolerance_um=tolerance_um).halvings == halvings

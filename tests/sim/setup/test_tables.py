@@ -10,11 +10,10 @@ import pytest
 
 from evetac_cli.resources import SCENES, schemas, table
 from evetac_cli.sim.setup.object_file import TouchedObject
-from evetac_cli.sim.setup.scene import Scene
+from evetac_cli.sim.setup.scene import Scene, Solver
 from evetac_cli.sim.setup.scene_file import merged
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.sim.setup.sensor_file import FOR_EACH_TRIAL, rows
-from evetac_cli.sim.setup.solver import Solver
 from evetac_cli.sim.setup.tables import as_table, read_table
 from scripts.schemas import TYPES, rules_of, text_of
 

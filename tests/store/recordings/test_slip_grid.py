@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evetac_cli.sim.setup.solver import Solver
+from evetac_cli.sim.setup.scene import Solver
 from evetac_cli.store.recordings.slip_grid import COLUMN, fewest_nodes, once, unresolved
 
 

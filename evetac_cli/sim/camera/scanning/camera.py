@@ -31,9 +31,9 @@ from evetac_cli.kernels.noise_filter import NoiseFilter
 from evetac_cli.sim.camera import camera_input, leak, optics
 from evetac_cli.sim.camera.camera_input import ObjectMotion, SliceMotion, Window
 from evetac_cli.sim.camera.contact_edges import ContactEdges
-from evetac_cli.sim.camera.dot_shapes import DotShapes, alike, dot_shapes, shaped_level
-from evetac_cli.sim.camera.event_keys import sorted_columns
 from evetac_cli.sim.camera.noise import HotPixels, Noise, add_noise, hot_rates
+from evetac_cli.sim.camera.optics import DotShapes, alike, dot_shapes, shaped_level
+from evetac_cli.sim.camera.readout import Readout, sorted_columns
 from evetac_cli.sim.camera.scanning.dots import scan_dots
 from evetac_cli.sim.camera.scanning.light import Light, LightChange
 from evetac_cli.sim.camera.scanning.lines import scan_lines
@@ -49,7 +49,6 @@ from evetac_cli.sim.camera.scanning.pixels import (
     gel_pixels,
     window_pixels,
 )
-from evetac_cli.sim.camera.scanning.readout import Readout
 from evetac_cli.sim.camera.scanning.window import scan_window
 from evetac_cli.sim.setup.sensor import HotPixelTable
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import optics
-from evetac_cli.sim.camera.event_keys import event_key
+from evetac_cli.sim.camera.readout import event_key
 from evetac_cli.sim.camera.scanning.pixel_culling import COLUMN_MASK, PIXEL_SHIFT
 from evetac_cli.sim.camera.scanning.pixels import CandidatePixels
 

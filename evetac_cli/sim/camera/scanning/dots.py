@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import dot_rings, optics
-from evetac_cli.sim.camera.event_keys import event_key
+from evetac_cli.sim.camera.readout import event_key
 from evetac_cli.sim.camera.scanning.differing_dots import compare_crowded, forget_exchanged
 from evetac_cli.sim.camera.scanning.pixel_culling import (
     COLUMN_MASK,

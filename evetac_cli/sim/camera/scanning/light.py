@@ -27,9 +27,9 @@ from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.contact_edges import LineMotion
-from evetac_cli.sim.camera.dot_shapes import differing_row
-from evetac_cli.sim.camera.event_keys import event_key
 from evetac_cli.sim.camera.leak import LEAK_SLICES
+from evetac_cli.sim.camera.optics import differing_row
+from evetac_cli.sim.camera.readout import event_key
 from evetac_cli.sim.camera.scanning.pixel_culling import RESOLUTION_PX
 from evetac_cli.sim.camera.scanning.pixels import (
     RUN_PX,

@@ -29,7 +29,7 @@ from evetac_cli.sim.camera.contact_edges import (
     sample_cut,
     sample_row,
 )
-from evetac_cli.sim.camera.dot_shapes import differing_row
+from evetac_cli.sim.camera.optics import differing_row
 from evetac_cli.sim.camera.scanning.dots import at_scans, scan_dots
 from evetac_cli.sim.camera.scanning.outline import compare_outline, draw_dots, shift_outline
 from evetac_cli.sim.camera.scanning.pixels import RUN_PX, ZERO, ScanTimes, gel_pixels, line_motion, window_pixels

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from evetac_cli.arrays import Floats
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import optics
-from evetac_cli.sim.camera.event_keys import event_key
+from evetac_cli.sim.camera.readout import event_key
 
 # Largest distance of a dot from where it was drawn, on each axis. With more, more pixels are doubtful; with less, dots
 # are drawn more often.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.contact_edges import EdgePlace, LineMotion, Outline
-from evetac_cli.sim.camera.dot_shapes import DotShapes
+from evetac_cli.sim.camera.optics import DotShapes
 
 MOST_LISTED = 512  # most pixels in the list of a dot; larger or more blurred dots may have no list
 # Number of adjacent window pixels that are compared together. With more, the pixel nearest to its threshold causes more

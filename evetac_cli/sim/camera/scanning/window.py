@@ -13,7 +13,7 @@ from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.camera_input import ObjectMotion
-from evetac_cli.sim.camera.event_keys import event_key
+from evetac_cli.sim.camera.readout import event_key
 from evetac_cli.sim.camera.scanning.pixels import RUN_PX, ZERO, ScanTimes, WindowPixels
 
 # If levels change faster per scan, or fade, a run would be skipped in too few scans to be worth the computation.

@@ -8,8 +8,8 @@ import pytest
 
 from evetac_cli.sim.camera import contact_edges, optics
 from evetac_cli.sim.camera.camera_input import SliceMotion
-from evetac_cli.sim.camera.dot_shapes import shaped_level
 from evetac_cli.sim.camera.gel_camera import dots_differ
+from evetac_cli.sim.camera.optics import shaped_level
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
 from evetac_cli.sim.camera.scanning.light import LightChange

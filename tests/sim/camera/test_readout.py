@@ -1,11 +1,14 @@
-"""A readout that hands on no more than so many events a second."""
+"""From the events of pixels to those that arrive: nothing is lost on the way to sorted columns; a slow readout."""
 
 import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from evetac_cli.events import Events, concatenate
+from evetac_cli.sim.camera.readout import event_key, sorted_columns
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.light import LightChange
 from tests.sim.camera.small_frames import FRAME, QUIET, line, play, start
@@ -66,3 +69,15 @@ def test_what_is_beyond_the_limit_is_lost() -> None:
     order = np.lexsort((read.t, read.y, read.x))
     same = (np.diff(read.x[order]) == 0) & (np.diff(read.y[order]) == 0)
     assert np.diff(read.t[order])[same].min() > 0
+
+
+EVENT = st.tuples(st.integers(0, 999), st.integers(0, 65535), st.integers(0, 65535), st.booleans())
+
+
+@given(events=st.lists(EVENT, max_size=90), t0_us=st.integers(0, 2**40))
+def test_columns_are_the_events_by_time(events: list[tuple[int, int, int, bool]], t0_us: int) -> None:
+    """Assert that keys become the very events, sorted by time, those of one time in the order in which they came."""
+    keys = np.array([event_key(*event) for event in events], np.int64)
+    t, x, y, p = sorted_columns(keys, t0_us)
+    result = list(zip((t - t0_us).tolist(), x.tolist(), y.tolist(), p.tolist(), strict=True))
+    assert result == [(time, x, y, int(p)) for time, x, y, p in sorted(events, key=lambda event: event[0])]
