@@ -11,7 +11,7 @@ from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.record import Record
 from evetac_cli.devices import cameras, grippers
 from evetac_cli.errors import InputError
-from evetac_cli.sim.setup import solver as scene_solver
+from evetac_cli.sim.setup.scene import Solver
 from evetac_cli.trials import grasp, record
 from evetac_cli.trials import trial as trials
 from evetac_cli.trials.grasp.settings import DeviceGrasp, ReplayGrasp, SimulatedGrasp
@@ -90,7 +90,7 @@ def test_a_grid_that_is_too_coarse_is_warned_of(nodes: float, warned: bool) -> N
         solver.add(
             {"truth/mechanical_steps": 2, "truth/estimated_error_um": 0.1, "truth/slip_half_wavelength_nodes": half}
         )
-    row = solver.figures(scene_solver.Solver())
+    row = solver.figures(Solver())
     assert row["slip_half_wavelength_nodes"] == nodes
     assert (row["warning"] is not None) == warned
     shown, said = record.STAGE.for_people([row], Record())

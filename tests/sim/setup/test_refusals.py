@@ -10,7 +10,8 @@ import pytest
 from evetac_cli.devices.simulated import rig
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.sim.setup import object_file, scene_file
-from evetac_cli.sim.setup.plan import Plan, first_plan, named_sensor, one_sensor, read_plan
+from evetac_cli.sim.setup.plan import Plan, first_plan, named_sensor, one_sensor, plans, read_plan, with_second
+from evetac_cli.sim.setup.scene import KINDS
 from evetac_cli.sim.setup.scene_file import merged
 from evetac_cli.sim.setup.sensor_file import of_row
 from evetac_cli.sim.setup.tables import as_table
@@ -154,7 +155,6 @@ FLAGS: list[tuple[str, dict[str, Any], str]] = [
     ("press", {"texture": "off"}, "--texture"),
     ("slip", {"tones": "200"}, "--tone"),
     *(("vibration", {"tones": text}, "--tone") for text in ("", "x", "0.5", "2501", "nan", "200,,300", "-5")),
-    ("press", {"second": "evetac"}, "--camera"),
     ("lift", {"kinds": ("ramp",)}, "lift"),
     ("press", {"kinds": ("ramp", "hold")}, "virtual devices cannot show"),
     ("slip", {"solver": {"step_ms": 0.5, "tolerance_um": 0.1}}, "step_ms"),
@@ -233,6 +233,12 @@ def test_flags(name: str, flags: dict[str, Any], place: str) -> None:
     """Assert that flags that name nothing, or contradict the scene, are refused by name."""
     with pytest.raises(InputError, match=place):
         first_plan(name, **flags)
+
+
+def test_a_second_camera_needs_a_gripper() -> None:
+    """Assert that a scene without a gripper has no place for a second sensor."""
+    with pytest.raises(InputError, match="--camera"):
+        with_second(plans("press", "8", "evetac", KINDS)[0], "evetac")
 
 
 @pytest.mark.parametrize(("key", "value"), HEADERS)
