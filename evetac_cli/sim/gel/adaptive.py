@@ -136,14 +136,15 @@ class Stepper:
             second = self._press(1, self.second, second_shares)
         record, results = self._record, self._results
         record["done"] = 0.0
-        while record["done"][0] < 1.0:
-            one = each is not None
+        one = each is not None
+        while True:
             fault, done = _step_slice(pressed, second, force_n, load, law, theta, record, results, one)
             if fault:
                 raise ValueError(gel.FAULTS[fault])
             if each is not None:
                 each(gel.step_info(results, self.solver.residual), float(record["step_s"][0]))
-        return Slice(*done)
+            if each is None or record["done"][0] >= 1.0:
+                return Slice(*done)
 
     def _press(self, pad: int, state: gel.GelState, shares: Floats) -> Pressed:
         """Return a pad under a pressure; the squeeze is computed again for another pad or another array of shares."""

@@ -292,9 +292,10 @@ class Support:
         """Return whether the trial is over: a ramp some time after contact is lost, a grasp after the object fell."""
         if self._kind == "hold":
             return False
-        fallen_m = self._held.fallen_m
-        gone = force_n <= 0.0 or fallen_m > GONE_M
+        gone = force_n <= 0.0
         if self._kind == "lift":
-            gone = fallen_m > GONE_M and self.table_m - fallen_m > GONE_M and force_n <= 0.0
+            gone = gone and (fallen_m := self._held.fallen_m) > GONE_M and self.table_m - fallen_m > GONE_M
+        else:
+            gone = gone or self._held.fallen_m > GONE_M
         self._lost_for = self._lost_for + 1 if gone else 0
         return self._lost_for > self._after_lost_s / STEP_S
