@@ -47,7 +47,7 @@ from evetac_cli.stages.model_files import (
 )
 from evetac_cli.stages.related_files import check_disjoint, check_same, make_folds, named_files, object_name
 from evetac_cli.stages.train import validating
-from evetac_cli.stages.train.networks import group_parameters, series_bytes
+from evetac_cli.stages.train.plan import group_parameters, series_bytes
 from evetac_cli.store.files import StageFile, header_of, up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.layout.rules import named_architecture
@@ -87,7 +87,7 @@ class TrainJob(Job):
 
 @dataclass(frozen=True)
 class NetworkJob(TrainJob):
-    """One network of a model. It writes its final state (networks.state_file), from which the model is then made.
+    """One network of a model. It writes its final state (plan.state_file), from which the model is then made.
 
     Its output is only its name among the jobs: that of the state depends on the recipe, which needs all inputs.
     """

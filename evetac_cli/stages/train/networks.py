@@ -25,6 +25,7 @@ from evetac_cli.kernels.slip.metrics import LAST_CHECKPOINTS, Prediction
 from evetac_cli.kernels.slip.sampling import PoolSizes, SampleGroups, Size, SlipSamples, drawn_groups
 from evetac_cli.stages.related_files import Fold
 from evetac_cli.stages.slip_detectors import predict, read_pool_sizes, read_trajectory
+from evetac_cli.stages.train import plan
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.layout.rules import named_architecture
@@ -32,23 +33,12 @@ from evetac_cli.store.layout.rules import named_architecture
 if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import Preset, SlipTraining, TrainingState
 
-
-from evetac_cli.kernels.slip.architectures import (
-    CHANNELS,
-    EXTRAS,
-    ImageArchitecture,
-    PluginImageArchitecture,
-)
-from evetac_cli.store.files import StageFile
-
 Weights = dict[str, NDArray[np.float32]]
 COMPARED = 64  # inputs of a file on which the two forms of a plug-in's network are compared
 # Probability. evetac's nine networks on dots differ by at most 6e-7 after training, and by 4e-6 with random weights of
 # standard deviation 0.3, over inputs of three simulated slips.
 FORMS_AGREE = 1e-4
 SAVE_S = 30.0  # interval of saving: the most work lost when a run is interrupted
-# Limit for features in memory: 6.7 million slices of 56 dots without directions, or half as many with directions.
-HELD_BYTES = 3_000_000_000
 
 
 class TrainedFolds(NamedTuple):
@@ -189,7 +179,7 @@ class Networks:
         """
         from evetac_cli.kernels.slip import training
 
-        parameters, place = self.recipe.parameters, state_file(self.model, self.recipe, number, self.count)
+        parameters, place = self.recipe.parameters, plan.state_file(self.model, self.recipe, number, self.count)
         start = None if self.start is None else self.start[number % parameters["networks"]]
         preset = self.preset
         saved = _read(place, self.recipe)
@@ -224,7 +214,7 @@ class Networks:
     def remove_states(self) -> None:
         """Remove the saved states."""
         for number in range(self.count):
-            state_file(self.model, self.recipe, number, self.count).unlink(missing_ok=True)
+            plan.state_file(self.model, self.recipe, number, self.count).unlink(missing_ok=True)
 
     def _groups_of(self, fold: int, progress: Progress) -> SampleGroups:
         """Return the training samples of a fold."""
@@ -235,14 +225,14 @@ class Networks:
 
     def _groups(self, numbers: Sequence[int], progress: Progress) -> SampleGroups:
         """Return the samples of these inputs: all together if memory allows, otherwise in groups drawn by the seed."""
-        if sum(self.memory_bytes[number] for number in numbers) <= HELD_BYTES:
+        if sum(self.memory_bytes[number] for number in numbers) <= plan.HELD_BYTES:
             return SampleGroups.alone(self._samples(numbers, progress))
         sizes = []
         for done, number in enumerate(numbers):
             progress(done, len(numbers), "labels read")
             sizes.append(Size(self.memory_bytes[number], self._pool_sizes(number)))
         # a different generator than those of the networks, which are seeded with its children
-        index_groups = drawn_groups(sizes, HELD_BYTES, np.random.default_rng(self.recipe.parameters["seed"]))
+        index_groups = drawn_groups(sizes, plan.HELD_BYTES, np.random.default_rng(self.recipe.parameters["seed"]))
         groups = [[numbers[index] for index in group] for group in index_groups]
         steps = [PoolSizes(*np.sum([sizes[index].samples for index in group], axis=0)).steps for group in index_groups]
         return SampleGroups(steps, lambda group: self._samples(groups[group], progress))
@@ -278,29 +268,3 @@ def _write(path: Path, recipe: Recipe, state: "TrainingState") -> None:
     """Save the state of a run atomically."""
     with taking_the_place_of(path) as temporary, temporary.open("wb") as file:
         np.savez(file, recipe=np.array(recipe.id), **state)  # type: ignore[arg-type]
-
-
-def series_bytes(file: StageFile, architecture: Architecture) -> int:
-    """Return the memory, in bytes, for the features that an architecture needs from a features file."""
-    if isinstance(architecture, ImageArchitecture):
-        return 8 * file.length("image/start") + 5 * file.length("image/pixel") if file.has("image") else 0
-    if isinstance(architecture, PluginImageArchitecture):
-        has_events = file.has("gel_events")
-        return 8 * file.length("gel_events/start") + 7 * file.length("gel_events/x") if has_events else 0
-    slices, dots = file.contents()["displacement_px"][1]
-    values = dots * (len(CHANNELS) if architecture.sees_direction else 2)
-    return 4 * slices * (values + (len(EXTRAS) if architecture.extras else 0))
-
-
-def group_parameters(memory_bytes: Sequence[int]) -> dict[str, int]:
-    """Return the entry for a model's recipe if its trajectories do not fit in memory together; otherwise nothing."""
-    return {"held_bytes": HELD_BYTES} if sum(memory_bytes) > HELD_BYTES else {}
-
-
-def state_file(model: Path, recipe: Recipe, number: int, networks: int) -> Path:
-    """Return the file of a network's saved state: NAME.model.RECIPE.part, with .network1 for the first of several.
-
-    Its name has the first digits of the recipe's id, so that two trainings onto one output do not share their states.
-    """
-    name = "" if number == networks - 1 else f".network{number + 1}"
-    return model.with_name(f"{model.name.removesuffix('.h5')}.{recipe.id[:8]}{name}.part")

@@ -17,7 +17,7 @@ from evetac_cli.kernels.slip import onnx_graphs
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, parted, with_scaled_logit
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.stages import model_files, related_files, slip_detectors, train
-from evetac_cli.stages.train import networks
+from evetac_cli.stages.train import networks, plan
 from evetac_cli.store.files import StageFile, header_of, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from tests.make import run_stage
@@ -141,7 +141,7 @@ def test_features_that_do_not_fit_into_memory_are_trained_on_in_groups(
     """Assert that a recipe says so, that the same comes out again, and that the files are read in turn."""
     chosen = small(max_steps=24, validate=str(trials[3]))
     whole, _ = run_stage(train, trials[:3], chosen, tmp_path / "whole")
-    monkeypatch.setattr(networks, "HELD_BYTES", 80_000)  # one trial takes 76 kB
+    monkeypatch.setattr(plan, "HELD_BYTES", 80_000)  # one trial takes 76 kB
     read: list[Path] = []
 
     def noted(path: Path, architecture: Any, **options: Any) -> Any:
@@ -166,7 +166,7 @@ def test_what_features_take_in_memory(trials: list[Path], model: str) -> None:
     with StageFile(trials[0], "features") as file:
         series = slip_detectors.read_series(file, architecture)
         arrays = [series] if isinstance(series, np.ndarray) else list(series)
-        assert networks.series_bytes(file, architecture) == sum(array.nbytes for array in arrays)
+        assert plan.series_bytes(file, architecture) == sum(array.nbytes for array in arrays)
 
 
 def test_few_trajectories_to_choose_a_threshold_on_are_said(trials: list[Path], tmp_path: Path) -> None:
