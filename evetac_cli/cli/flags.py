@@ -199,7 +199,7 @@ def is_for_experts(flag: Any) -> bool:
 def _print_all_help(ctx: typer.Context, wanted: bool) -> None:
     if wanted:
         ctx.meta[HELP_ALL] = True
-        print(ctx.get_help())
+        typer.echo(ctx.get_help())
         raise typer.Exit
 
 

@@ -275,7 +275,7 @@ def left_running(device: VirtualDvxplorer) -> None:
 @pytest.mark.parametrize(
     ("device", "words"),
     [
-        (VirtualDvxplorer(Nothing(), faults=("no-permission",)), ["no permission to open", "errno 13", "--print-udev"]),
+        (VirtualDvxplorer(Nothing(), faults=("no-permission",)), ["no permission to open", "errno 13", "doctor udev"]),
         (VirtualDvxplorer(Nothing(), faults=("busy",)), ["DXM00042", "another program", "errno 16", "close DV"]),
         (VirtualDvxplorer(Nothing(), faults=("unplug@0",), board=3), ["no such camera", "none on the bus", "doctor"]),
         (VirtualDvxplorer(Nothing(), board=2), ["not a DVXplorer Mini", "board 4", "board 2"]),
