@@ -184,13 +184,13 @@ def _send_whole(pipe: "Connection", what: str | float) -> None:
 
 def _sending(pipe: "Connection") -> Progress:
     """Return a progress callback that sends the completed share of a job to the parent, every SAY_S."""
-    said_s = time.monotonic()
+    announced_s = time.monotonic()
 
     def report(done: float, total: float, doing: str = "") -> None:
-        nonlocal said_s
-        if doing or not total or time.monotonic() - said_s < SAY_S:
+        nonlocal announced_s
+        if doing or not total or time.monotonic() - announced_s < SAY_S:
             return
-        said_s = time.monotonic()
+        announced_s = time.monotonic()
         _send_whole(pipe, min(done / total, 1.0))
 
     return report

@@ -78,7 +78,7 @@ class FingerView(GelView):
         self._window_from_middle_m = _window_from_middle_m(camera, self._start_m * facing)
         self._shear_n: tuple[float, float] = (0.0, 0.0)
 
-    def feel(self, shares: Floats, shear_n: tuple[float, float], force_n: float) -> None:
+    def follow_forces(self, shares: Floats, shear_n: tuple[float, float], force_n: float) -> None:
         """Follow the forces of a slice."""
         self._shear_n = shear_n
         self.follow(shares, force_n, self._pads.still_for)
@@ -187,7 +187,7 @@ class GraspSimulation:
             pressed_m = pads.second.indentation_m
             self.second_events = self.second_view.look(self.slices, pressed_m, finger.open_mm, still=still)
         self.slices += 1
-        self.finished = self.slices >= self.slices_in_all or self.support.has_lost_it(finger.state.force_n)
+        self.finished = self.slices >= self.slices_in_all or self.support.is_over(finger.state.force_n)
         return events
 
     def _move(self) -> None:
@@ -200,10 +200,10 @@ class GraspSimulation:
         self.held.catch(self.slices)
         done = self.support.advance(self.slices, force_n, self._friction)
         self._steps.follow(done, self._friction)
-        self.view.feel(pads.shares, done.friction_n[:2], force_n[1])
+        self.view.follow_forces(pads.shares, done.friction_n[:2], force_n[1])
         if self.second_view is not None and pads.second is not None:
             pads.second.state.pose[:] = pads.first.pose
-            self.second_view.feel(pads.second.shares, done.second_friction_n[:2], force_n[1])
+            self.second_view.follow_forces(pads.second.shares, done.second_friction_n[:2], force_n[1])
 
     @property
     def gel_camera(self) -> GelCamera:

@@ -288,7 +288,7 @@ class Support:
             done = pads.advance(force_n, friction, 0.0, speed)
         return done
 
-    def has_lost_it(self, force_n: float) -> bool:
+    def is_over(self, force_n: float) -> bool:
         """Return whether the trial is over: a ramp some time after contact is lost, a grasp after the object fell."""
         if self._kind == "hold":
             return False

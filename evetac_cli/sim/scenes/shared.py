@@ -77,7 +77,7 @@ class SlowCreep(ScenePart):
     KEYS = ("sensor.creep.share", "sensor.creep.time_s")
 
 
-class WhatTouches(Essential):
+class TouchingObject(Essential):
     """The object, face, hand or speaker that touches the gel."""
 
     NAME = "what touches"
