@@ -13,7 +13,7 @@ threads of usual priority deliver serial bytes. When a detector with real-time p
 controller waited for answers of its gripper and missed one command in eight on two cores. So the detector only gets a
 lower niceness.
 
-Last words: an exit code alone does not explain anything, and a process whose error looked like a normal end leaves code
+Errors: an exit code alone does not explain anything, and a process whose error looked like a normal end leaves code
 0. So the error that ends a process is written into memory that outlives it, before the process exits.
 """
 
@@ -39,7 +39,7 @@ ENDING_FLAG = 0x4  # PF_EXITING: the process has begun to end; a killed process 
 NICE = -10
 USUAL = "as usual"
 REALTIME = "real-time"
-MOST_BYTES = 512  # of the last words of a process
+MOST_BYTES = 512  # of the error that ended a process
 PATIENCE_S = 5.0  # a pipe closes before its process has ended: Python's exit takes seconds on a busy computer
 
 
@@ -153,8 +153,8 @@ def raised_priority(rank: int, *, wanted: bool = True) -> Iterator[str]:
             os.setpriority(os.PRIO_PROCESS, 0, niceness)
 
 
-class LastWords:
-    """A line of text in shared memory; passed to a process when it is spawned."""
+class ErrorText:
+    """The error that ended a process, as a line of text in shared memory; passed to the process when it is spawned."""
 
     def __init__(self) -> None:
         self._text = multiprocessing.get_context("spawn").RawArray("c", MOST_BYTES)
@@ -168,7 +168,7 @@ class LastWords:
         return bytes(self._text.value).decode(errors="ignore")
 
 
-def telling(words: LastWords, target: Callable[..., object], *arguments: Any) -> None:
+def storing_error(words: ErrorText, target: Callable[..., object], *arguments: Any) -> None:
     """Run a function as the target of a process, and write down the error that ends it, if any."""
     try:
         target(*arguments)
@@ -195,7 +195,7 @@ def with_reason(sentence: str, how: str) -> str:
     return f"{sentence} ({how})" if how else sentence
 
 
-def exit_words(process: BaseProcess, words: LastWords | None = None, patience_s: float = PATIENCE_S) -> str:
+def exit_words(process: BaseProcess, words: ErrorText | None = None, patience_s: float = PATIENCE_S) -> str:
     """Return on one line how a process ended; "" if it has not ended within this time."""
     process.join(patience_s)
     return exit_code_words(process.exitcode, "" if words is None else words.read())

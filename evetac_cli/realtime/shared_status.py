@@ -6,7 +6,7 @@ controller to recognize a dead detector or a silent camera, and the age of the s
 If each of two fingers has a camera, two detectors write, each its own status. The controller reads both, and a signal
 combined from both (kernels/grip/control.py).
 
-A new slice with slip rings a bell, for a controller that sleeps until its next step (trials/grasp/pace.py).
+A new slice with slip wakes a controller that sleeps until its next step (trials/grasp/deadlines.py).
 
 In the other direction, the controller publishes the gripper's position and its goal, for a detector that uses them.
 
@@ -21,7 +21,7 @@ from typing import NamedTuple
 from evetac_cli.kernels.grip import control
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.realtime.shared_row import SharedRow
-from evetac_cli.realtime.shared_time import Bell
+from evetac_cli.realtime.shared_time import WakeSignal
 
 REMEMBERED = 32  # latest slices with slip whose times are stored
 _SIZE = 1088
@@ -68,12 +68,12 @@ class SharedStatus:
     def __init__(self, fingers: int = 1) -> None:
         self._fingers = fingers
         self._block = multiprocessing.get_context("spawn").RawArray("B", _SIZE)
-        self.slip_bell = Bell()
+        self.slip_wake = WakeSignal()
         self._attach()
 
     def _attach(self) -> None:
         memory = memoryview(self._block).cast("B")
-        self._rung_slips = 0
+        self._sent_slips = 0
         form = f"q{len(SlipSignal._fields) - 1}dq3d{REMEMBERED}d"
         self._status = [SharedRow(memory, start, form) for start in _STATUS_AT[: self._fingers]]
         self._stop = SharedRow(memory, _STOP_AT, "q")
@@ -83,7 +83,7 @@ class SharedStatus:
         self._gripper = SharedRow(memory, _GRIPPER_AT, "2d")
 
     def __getstate__(self) -> dict[str, object]:
-        return {"_block": self._block, "slip_bell": self.slip_bell, "_fingers": self._fingers}
+        return {"_block": self._block, "slip_wake": self.slip_wake, "_fingers": self._fingers}
 
     def __setstate__(self, state: dict[str, object]) -> None:
         vars(self).update(state)
@@ -94,9 +94,9 @@ class SharedStatus:
         slip_us = status.slip_us[-REMEMBERED:]
         padding = (float("nan"),) * (REMEMBERED - len(slip_us))
         self._status[finger].write(*status.signal, *status[1:5], *padding, *slip_us)
-        if status.signal.slips > self._rung_slips:
-            self._rung_slips = status.signal.slips
-            self.slip_bell.ring()
+        if status.signal.slips > self._sent_slips:
+            self._sent_slips = status.signal.slips
+            self.slip_wake.send()
 
     def latest(self) -> DetectorStatus | None:
         """For the controller: return the latest status; None before the first (of both fingers, if there are two)."""

@@ -21,34 +21,34 @@ from typing import Protocol
 from evetac_cli.realtime.shared_row import SharedRow
 
 
-class Bell:
-    """A bell with which one process wakes another that sleeps; ringing never waits. May be passed to a spawned process.
+class WakeSignal:
+    """A signal by which one process wakes another; sending never waits. May be passed to a spawned process.
 
     Why a pipe and not an eventfd or a futex: macOS has neither. Writing to a pipe also takes a microsecond, and a wait
     for a pipe can have a timeout that is not a whole number of milliseconds.
     """
 
     def __init__(self) -> None:
-        self._ear, self._rope = multiprocessing.get_context("spawn").Pipe(duplex=False)
+        self._reader, self._writer = multiprocessing.get_context("spawn").Pipe(duplex=False)
 
-    def ring(self) -> None:
-        """Wake the process that waits, or the next that does; without effect if the pipe is full of rings."""
-        os.set_blocking(self._rope.fileno(), False)
+    def send(self) -> None:
+        """Wake the process that waits, or the next that does; without effect if the pipe is full."""
+        os.set_blocking(self._writer.fileno(), False)
         with contextlib.suppress(BlockingIOError):
-            os.write(self._rope.fileno(), b"!")
+            os.write(self._writer.fileno(), b"!")
 
     def wait(self, seconds: float) -> bool:
-        """Sleep until it rings, for at most `seconds`; return whether it rang. Earlier rings count, and are cleared."""
-        if not select.select([self._ear], [], [], seconds)[0]:
+        """Sleep until it arrives, for at most `seconds`; return whether it did. Earlier ones count, and are cleared."""
+        if not select.select([self._reader], [], [], seconds)[0]:
             return False
-        os.read(self._ear.fileno(), _MANY)
+        os.read(self._reader.fileno(), _MANY)
         return True
 
 
 PATIENCE_S = 2.0  # longest pause: a process that is later than this is considered dead
 CREEP = 0.01  # speed of the clock during a pause, so that two steps of a control loop never have the same time
 SHORTEST_SLEEP_S = 2e-4
-_MANY = 1 << 12  # rings that one wait clears
+_MANY = 1 << 12  # signals that one wait clears
 READER_S = 0.02  # largest lead over the reader of the slices; a driver on an idle machine is 5 ms behind
 
 
@@ -58,8 +58,8 @@ class TimeSource(Protocol):
     def now_s(self) -> float:
         """Return the current time, in s."""
 
-    def sleep(self, seconds: float, bell: Bell | None = None) -> bool:
-        """Wait until this time has passed on the clock, or the bell rings; return whether it rang."""
+    def sleep(self, seconds: float, wake: WakeSignal | None = None) -> bool:
+        """Wait until this time has passed on the clock, or the signal arrives; return whether it did."""
 
     def slices_read_until(self, now_s: float) -> None:
         """For the reader of a camera's slices: report that all slices that ended before this time were read."""
@@ -72,10 +72,10 @@ class HostTime:
         """Return the current time of time.monotonic, in s."""
         return time.monotonic()
 
-    def sleep(self, seconds: float, bell: Bell | None = None) -> bool:
-        """Sleep like time.sleep, or until the bell rings; return whether it rang."""
-        if bell is not None:
-            return bell.wait(seconds)
+    def sleep(self, seconds: float, wake: WakeSignal | None = None) -> bool:
+        """Sleep like time.sleep, or until the signal arrives; return whether it did."""
+        if wake is not None:
+            return wake.wait(seconds)
         time.sleep(seconds)
         return False
 
@@ -122,11 +122,11 @@ class SharedTime:
         host_s = time.monotonic()
         return host_s - self._behind_s(host_s)
 
-    def sleep(self, seconds: float, bell: Bell | None = None) -> bool:
-        """Wait until this time has passed on the clock, or the bell rings; return whether it rang."""
+    def sleep(self, seconds: float, wake: WakeSignal | None = None) -> bool:
+        """Wait until this time has passed on the clock, or the signal arrives; return whether it did."""
         until_s = self.now_s() + seconds
         while (left_s := until_s - self.now_s()) > 0:
-            if HOST_TIME.sleep(max(left_s, SHORTEST_SLEEP_S), bell):
+            if HOST_TIME.sleep(max(left_s, SHORTEST_SLEEP_S), wake):
                 return True
         return False
 

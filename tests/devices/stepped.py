@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.devices.virtual import device_model
 from evetac_cli.devices.virtual.word_sources import due_us
-from evetac_cli.realtime.shared_time import Bell, TimeSource
+from evetac_cli.realtime.shared_time import TimeSource, WakeSignal
 
 
 class StepClock:
@@ -21,8 +21,8 @@ class StepClock:
         """The time, in s."""
         return self.s
 
-    def sleep(self, seconds: float, bell: Bell | None = None) -> bool:
-        """So much of it passes; no bell rings."""
+    def sleep(self, seconds: float, wake: WakeSignal | None = None) -> bool:
+        """So much of it passes; no wake rings."""
         self.s += max(seconds, 0.0)
         return False
 

@@ -18,7 +18,7 @@ import pytest
 from evetac_cli import interrupts
 from evetac_cli.errors import DeviceError
 from evetac_cli.realtime import processes
-from evetac_cli.realtime.processes import LastWords, exit_words, telling
+from evetac_cli.realtime.processes import ErrorText, exit_words, storing_error
 from tests.patience import PATIENCE_S
 from tests.quick import few
 
@@ -137,8 +137,8 @@ CASES: dict[str, tuple[Callable[..., None], tuple[Any, ...], str]] = {
 def test_how_a_process_ended(case: str) -> None:
     """Assert that signal, exit code and the last line of a traceback are said, and a place in the code."""
     target, arguments, said = CASES[case]
-    words = LastWords()
-    process = multiprocessing.get_context("spawn").Process(target=telling, args=(words, target, *arguments))
+    words = ErrorText()
+    process = multiprocessing.get_context("spawn").Process(target=storing_error, args=(words, target, *arguments))
     process.start()
     process.join(PATIENCE_S)
     words_of_exit = exit_words(process, words)
@@ -151,6 +151,6 @@ def test_a_process_that_runs_has_not_ended() -> None:
     """Assert that nothing is said of one that is alive."""
     process = multiprocessing.get_context("spawn").Process(target=signal.pause, daemon=True)
     process.start()
-    assert exit_words(process, LastWords(), patience_s=0.0) == ""
+    assert exit_words(process, ErrorText(), patience_s=0.0) == ""
     process.kill()
     process.join()

@@ -90,4 +90,4 @@ def test_two_fingers() -> None:
     assert latest is not None and latest.control_signal.slips == 1
     assert [each.slices for each in latest.fingers] == [7, 8]
     assert math.isnan(latest.slip_began_us(0)) and latest.fingers[1].slip_began_us(0) == 4.0
-    assert shared.slip_bell.wait(PATIENCE_S)
+    assert shared.slip_wake.wait(PATIENCE_S)

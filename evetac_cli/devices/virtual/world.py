@@ -38,10 +38,10 @@ from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.interrupts import ignore_interrupts
 from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
 from evetac_cli.realtime.processes import (
-    LastWords,
+    ErrorText,
     exit_words,
     start_shielded,
-    telling,
+    storing_error,
     wait_while_computing,
     with_reason,
 )
@@ -92,16 +92,16 @@ class VirtualWorld:
         self._asked_s = 0.0
         self._polling = False  # whether the last call had no time to wait and got words
         self._counters = context.Array("q", 4, lock=False)
-        self._last_words = LastWords()
+        self._error_text = ErrorText()
         self._orders, orders = context.Pipe()
         pipes = [context.Pipe(duplex=False) for _ in range(1 if plan.second is None else 2)]
         self._all_words, words = [ours for ours, _ in pipes], [theirs for _, theirs in pipes]
         truths, truth_pipe = context.Pipe(duplex=False) if sends_truth else (None, None)
         self.truths = None if truths is None else MessageReader(truths)
         self._process: BaseProcess | None = context.Process(
-            target=telling,
+            target=storing_error,
             args=(
-                *(self._last_words, _run_world, orders, self.plant, words, truth_pipe, self._counters),
+                *(self._error_text, _run_world, orders, self.plant, words, truth_pipe, self._counters),
                 *(waits, plan, seeds, durations),
             ),
             name="evetac-world",
@@ -167,8 +167,8 @@ class VirtualWorld:
             raise self.died() from None
 
     def died(self, when: str = "") -> DeviceError:
-        """Return the error for a world whose process has gone; a copy in another process has at most its last words."""
-        words, process = self._last_words, self._process
+        """Return the error for a world whose process has gone; a copy in another process has at most its error."""
+        words, process = self._error_text, self._process
         how = words.read() if process is None else exit_words(process, words)
         return DeviceError(with_reason(f"the process of the virtual world died {when}".rstrip(), how))
 

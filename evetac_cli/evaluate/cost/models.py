@@ -33,7 +33,7 @@ from evetac_cli.evaluate.slip.models import Model
 from evetac_cli.evaluate.slip.tables import group_by_setting
 from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, GEL_PX, OverImages
-from evetac_cli.kernels.slip.detector import Detector, Live
+from evetac_cli.kernels.slip.detector import Detector, LiveDetector
 from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.store.files import StageFile
 
@@ -181,7 +181,7 @@ def _grasp_step(candidate: Candidate, rng: np.random.Generator) -> Callable[[], 
         raise InputError("too many dots to time", where=candidate.setting, expected="at most 7 x 9", found=found)
     rest = whole[:rows, :columns].reshape(-1, 2)
     window = None if columns == whole.shape[1] else (GEL_PX[0], 0, 640, 480)
-    live = Live(candidate.detector, tracker.start(rest, TRACKER), window)
+    live = LiveDetector(candidate.detector, tracker.start(rest, TRACKER), window)
     slices = [_rims(rng, float(rest[:, 0].max()) + 20.0) for _ in range(DISTINCT)]
     taken = 0
 

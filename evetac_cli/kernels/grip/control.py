@@ -34,7 +34,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from evetac_cli.errors import EvetacError, check_range
 from evetac_cli.kernels.grip import load_proportional, paper
-from evetac_cli.kernels.grip.load_law import MARGIN, Felt, LoadLaw
+from evetac_cli.kernels.grip.load_law import MARGIN, LawInput, LoadLaw
 from evetac_cli.kernels.grip.paper import GraspPhase, GripLaw
 
 LAWS: dict[str, GripLaw | LoadLaw] = {
@@ -180,7 +180,7 @@ class Control:
         self.slip = signal.slips > self._slips
         self._slips = signal.slips
         if isinstance(self.law, LoadLaw):
-            felt = Felt(self.slip, *signal[2:])
+            felt = LawInput(self.slip, *signal[2:])
             return load_proportional.step(self._state, phase, felt, position_ticks, 1.0 / self.control_hz, self.law)
         if isinstance(self.law, PluginLaw):
             return self._step_other(self.law, phase, signal, position_ticks)

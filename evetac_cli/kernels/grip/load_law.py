@@ -104,7 +104,7 @@ def push(state: FingerState, wanted_ticks: float, rest_ticks: float, dt_s: float
 MARGIN = 1.4  # safety factor of the grip
 
 
-class Felt(NamedTuple):
+class LawInput(NamedTuple):
     """Inputs of one step: slip since the previous step, and quantities estimated from the dots.
 
     `x_px`, `y_px`: mean displacement of all dots, to the right and down. `turn_px`: rms displacement of the dots by

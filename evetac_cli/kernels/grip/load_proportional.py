@@ -31,7 +31,7 @@ and friction, so each grasp finds the ratio again:
 import math
 
 from evetac_cli.kernels.grip import load_law
-from evetac_cli.kernels.grip.load_law import Felt, LoadEstimate, LoadLaw, LoadState, Mode, Response
+from evetac_cli.kernels.grip.load_law import LawInput, LoadEstimate, LoadLaw, LoadState, Mode, Response
 from evetac_cli.kernels.grip.paper import GraspPhase
 
 Load = tuple[float, float, float]  # in px: shear across, shear down, and twist in px of load
@@ -42,7 +42,7 @@ def start() -> LoadState:
     return LoadState()
 
 
-def step(state: LoadState, phase: GraspPhase, felt: Felt, position_ticks: int, dt_s: float, law: LoadLaw) -> int:
+def step(state: LoadState, phase: GraspPhase, felt: LawInput, position_ticks: int, dt_s: float, law: LoadLaw) -> int:
     """Do one control step of dt_s and return the goal in ticks."""
     if phase is GraspPhase.CONTACT:
         return _touch(state, felt, position_ticks, dt_s, law)
@@ -73,7 +73,7 @@ def step(state: LoadState, phase: GraspPhase, felt: Felt, position_ticks: int, d
     return _clip_whole(position_ticks + push, law.gear.last_tick)
 
 
-def _touch(state: LoadState, felt: Felt, position_ticks: int, dt_s: float, law: LoadLaw) -> int:
+def _touch(state: LoadState, felt: LawInput, position_ticks: int, dt_s: float, law: LoadLaw) -> int:
     """Light contact: close by the smallest push that moves the fingers, until contact is felt."""
     approach, finger = state.approach, state.finger
     if approach.first_position < 0:
@@ -98,7 +98,7 @@ def _touch(state: LoadState, felt: Felt, position_ticks: int, dt_s: float, law: 
     return _clip_whole(position_ticks + push, law.gear.last_tick)
 
 
-def _measure_load(load: LoadEstimate, felt: Felt, dt_s: float, law: LoadLaw) -> Load:
+def _measure_load(load: LoadEstimate, felt: LawInput, dt_s: float, law: LoadLaw) -> Load:
     """Update the load, its growth rate and averages, and the time for which it has been steady; return its parts."""
     rest_x_px, rest_y_px, rest_turn_px = load.rest_px
     parts = felt.x_px - rest_x_px, felt.y_px - rest_y_px, law.turn * (felt.turn_px - rest_turn_px)
@@ -114,7 +114,7 @@ def _measure_load(load: LoadEstimate, felt: Felt, dt_s: float, law: LoadLaw) -> 
     return parts
 
 
-def _detect_slip(state: LoadState, felt: Felt, dt_s: float, law: LoadLaw) -> bool:
+def _detect_slip(state: LoadState, felt: LawInput, dt_s: float, law: LoadLaw) -> bool:
     """Whether a credible sign of slip is present: from the detector or from the sticking share."""
     slip = state.slip
     slip.steps = slip.steps + 1 if felt.slip else 0
@@ -247,7 +247,7 @@ def _begin_to_hold(state: LoadState, law: LoadLaw) -> None:
     state.ratio = min(state.grip_ticks / max(state.load.px, law.least_px), law.most_ratio)
 
 
-def _hold(state: LoadState, load: Load, felt: Felt, slips: bool, dt_s: float, law: LoadLaw) -> None:
+def _hold(state: LoadState, load: Load, felt: LawInput, slips: bool, dt_s: float, law: LoadLaw) -> None:
     """Carrying: stop a possible slide, and open until signs of slip show the grip that is needed."""
     friction = state.friction
     friction.held_s += dt_s

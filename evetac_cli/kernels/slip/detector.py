@@ -306,7 +306,7 @@ def _session(graph: bytes) -> Any:
         raise ValueError(f"expected an ONNX graph, found bytes that onnxruntime rejects: {error}") from error
 
 
-class Live:
+class LiveDetector:
     """A tracker and a detector that process one slice after the other.
 
     The probabilities are bit-identical to those of `Detector.over` on the tracks.
@@ -362,7 +362,7 @@ class Live:
     def tell(self, position_ticks: float, command_ticks: float, sticking_share: float = float("nan")) -> None:
         """Set the extras, starting with the next slice, until they are set again; NaN for unknown ones.
 
-        command_ticks: as from `extras.command_ticks`. A network without extras ignores them.
+        command_ticks: as from `inputs.command_ticks`. A network without extras ignores them.
         """
         self._extras[:] = position_ticks, command_ticks, sticking_share
 
@@ -437,7 +437,7 @@ def _predict_slice(
     """Track the dots, add the features of those seen, and predict when due; `probability` holds the value in between.
 
     tracking, dots: records of a `tracker.TrackerState` and a `features.FeatureState`. batch: workspace (1, dots,
-    inputs). The rest as for `inputs.fill`, `extras.fill` and `dot_network.predict`.
+    inputs). The rest as for `inputs.fill`, `inputs.fill_extras` and `predict_dots`.
     """
     tracker.take_slice(tracking, x, y, p)
     all_xy_px, all_events = tracking[0]["centre_xy_px"][:], tracking[0]["events"][:]

@@ -142,7 +142,7 @@ class ImageNet(SlipNetwork):
         return torch.relu(self.fc1(images.flatten(1)))
 
 
-class OtherNet(SlipNetwork):
+class PluginNet(SlipNetwork):
     """A network of another package, over dots or images."""
 
     architecture: PluginArchitecture | PluginImageArchitecture
@@ -176,7 +176,7 @@ def build(
     if isinstance(architecture, ImageArchitecture):
         return ImageNet(architecture, input_scale, input_offset)
     if isinstance(architecture, PluginLayers):
-        return OtherNet(architecture, rows, columns, input_scale, input_offset)
+        return PluginNet(architecture, rows, columns, input_scale, input_offset)
     return SlipNet(architecture, rows, columns, input_scale, input_offset)
 
 

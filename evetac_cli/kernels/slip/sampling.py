@@ -276,7 +276,7 @@ def _take(deck: Iterator[np.int64], count: int) -> NDArray[np.int64]:
     return np.fromiter(islice(deck, count), np.int64, count)
 
 
-class Size(NamedTuple):
+class TrajectorySize(NamedTuple):
     """Memory that a trajectory takes, and its number of samples in each pool."""
 
     memory_bytes: int
@@ -327,7 +327,7 @@ class SampleGroups:
         return self._now
 
 
-def drawn_groups(sizes: Sequence[Size], most_bytes: int, rng: np.random.Generator) -> list[list[int]]:
+def drawn_groups(sizes: Sequence[TrajectorySize], most_bytes: int, rng: np.random.Generator) -> list[list[int]]:
     """Return the trajectories of each group, sorted within it and drawn at random.
 
     A group has as many trajectories as fit into most_bytes, and at least enough to have slip and busy samples. The

@@ -22,7 +22,7 @@ from evetac_cli.kernels.slip import sampling
 from evetac_cli.kernels.slip.architectures import Architecture, joined, parted
 from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.metrics import LAST_CHECKPOINTS, Prediction
-from evetac_cli.kernels.slip.sampling import PoolSizes, SampleGroups, Size, SlipSamples, drawn_groups
+from evetac_cli.kernels.slip.sampling import PoolSizes, SampleGroups, SlipSamples, TrajectorySize, drawn_groups
 from evetac_cli.stages.related_files import Fold
 from evetac_cli.stages.slip_detectors import predict, read_pool_sizes, read_trajectory
 from evetac_cli.stages.train import plan
@@ -230,7 +230,7 @@ class Networks:
         sizes = []
         for done, number in enumerate(numbers):
             progress(done, len(numbers), "labels read")
-            sizes.append(Size(self.memory_bytes[number], self._pool_sizes(number)))
+            sizes.append(TrajectorySize(self.memory_bytes[number], self._pool_sizes(number)))
         # a different generator than those of the networks, which are seeded with its children
         index_groups = drawn_groups(sizes, plan.HELD_BYTES, np.random.default_rng(self.recipe.parameters["seed"]))
         groups = [[numbers[index] for index in group] for group in index_groups]

@@ -9,6 +9,7 @@ One module runs each kind of trial: SimulatedGrasp (simulated.py), DeviceGrasp (
 """
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from evetac_cli.commands.grasp import Grasp
@@ -153,7 +154,7 @@ def run(job: Job, params: Grasp, *, force: bool = False, progress: Progress = si
         case Listening():
             from evetac_cli.trials.grasp import real_time
 
-            return listen(job, lambda trial, desk: real_time.run(trial, force=force, progress=silent, desk=desk))
+            return listen(job, partial(real_time.run, force=force, progress=silent))
     raise TypeError(f"grasp has no {type(job).__name__}")
 
 

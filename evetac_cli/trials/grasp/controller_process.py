@@ -1,7 +1,7 @@
 """The controller's process of a grasp in real time: every 2 ms it reads the gripper and the detector, and commands.
 
-Deadlines are absolute (pace.py): a late step does not move the following ones, and a missed one is counted, not made up
-for. New slip between two steps is answered at once (pace.py).
+Deadlines are absolute (deadlines.py): a late step does not move the following ones, and a missed one is counted, not
+made up for. New slip between two steps is answered at once.
 
 However the grasp ends, torque is switched off and read back; only the emergency key opens the fingers. Failures, and
 the process that detects each:
@@ -44,8 +44,8 @@ from evetac_cli.realtime.message_pipe import FLUSH_S, LAST_FLUSH_S, ORDER_S, Mes
 from evetac_cli.realtime.processes import error_words, raise_if_ended, set_realtime_priority, stands_still
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
+from evetac_cli.trials.grasp.deadlines import Deadlines, EarlyAnswer, early_columns, shift_us
 from evetac_cli.trials.grasp.loop import Timing, control_row
-from evetac_cli.trials.grasp.pace import EarlyAnswer, Pace, early_columns, shift_us
 from evetac_cli.trials.session import FRESH, OPENED, OVERLOADED, RECORDER_LATE_MS, RECORDER_MS
 
 PRIORITY = 30
@@ -101,7 +101,7 @@ class ControllerEnded(NamedTuple):
     missed_by_gripper: int = 0  # missed deadlines because the gripper's answers were late
 
 
-class Watch:
+class FaultDetector:
     """Detects a dead or hanging detector or recorder, and a silent camera.
 
     A busy computer stops all of its processes now and then. So silence is counted from the time at which the controller
@@ -188,8 +188,10 @@ def run_controller(
             gc.freeze()
             gc.disable()  # the loop creates no reference cycles
             has_ended = [detector.poll for detector in detectors]
-            watch = Watch(settings.watchdog_ms, lambda finger: has_ended[finger](), lambda: stands_still(recorder))
-            result = command_grasp(gripper, shared, settings, outbox, watch, ending)
+            faults = FaultDetector(
+                settings.watchdog_ms, lambda finger: has_ended[finger](), lambda: stands_still(recorder)
+            )
+            result = command_grasp(gripper, shared, settings, outbox, faults, ending)
     except PeerGone:  # the process that started this has gone, or asked this one to end
         result = result._replace(torque=result.torque if gripper is None else gripper.release_words)
         _speak_for_recorder(result, died=_has_died(recorder))
@@ -232,18 +234,18 @@ def command_grasp(
     shared: SharedStatus,
     settings: ControllerSettings,
     outbox: MessageWriter,
-    watch: Watch | None = None,
+    faults: FaultDetector | None = None,
     ending: Sequence[int] = (),
 ) -> ControllerEnded:
     """Command until the grasp is over, an order to stop or open arrives, or something fails; then switch torque off.
 
-    watch: supervises detector, camera and recorder; ending: signals received by this process.
+    faults: supervises detector, camera and recorder; ending: signals received by this process.
     """
     result = ControllerEnded(STOPPED, None, 0, 0, 0.0, array("d"), math.nan, math.nan, {})
     try:
         if _wait_for_status(shared, settings.time, ending):
-            watch = watch or Watch(settings.watchdog_ms)
-            result = _command(gripper, shared, settings, outbox, watch, ending)
+            faults = faults or FaultDetector(settings.watchdog_ms)
+            result = _command(gripper, shared, settings, outbox, faults, ending)
         if result.ended == OPENED:
             gripper.emergency_open()
         gripper.close()  # without effect if the driver has already released the gripper
@@ -267,7 +269,7 @@ def _command(
     shared: SharedStatus,
     settings: ControllerSettings,
     outbox: MessageWriter,
-    watch: Watch,
+    faults: FaultDetector,
     ending: Sequence[int],
 ) -> ControllerEnded:
     """Run the loop; its result does not contain yet when torque was off."""
@@ -279,7 +281,7 @@ def _command(
         *(gripper, shared, timing, wire_us * 1e-6, settings.time),
         may_write=lambda: not (shared.stopping or shared.opening or ending),
     )
-    pace = Pace(1.0 / timing.control_hz, clock, early.sleep)
+    deadlines = Deadlines(1.0 / timing.control_hz, clock, early.sleep)
     parent = os.getppid()
     cycle_us = array("d")
     rows: list[dict[str, Any]] = []
@@ -292,7 +294,7 @@ def _command(
     waited_s, least_s = 0.0, math.inf
     while True:
         try:
-            late_us = pace.wait(waited_s)
+            late_us = deadlines.wait(waited_s)
             begun_s = clock()
             reading = gripper.read()
             read_s = clock()
@@ -300,11 +302,11 @@ def _command(
             status = shared.latest()
             assert status is not None
             if now_us - begun_s * 1e6 + late_us > FROZEN_US:
-                watch.slept_until(now_us)
-            pace.shift(shift_us(now_us - status.at_us))
+                faults.slept_until(now_us)
+            deadlines.shift(shift_us(now_us - status.at_us))
             slice_ = max(int(now_us - status.zero_us) // SLICE_US, 0)
             shared.controller_lives(now_us)
-            fault, alive_us = watch.fault(status, shared.recorder_us, now_us)
+            fault, alive_us = faults.fault(status, shared.recorder_us, now_us)
             if slice_ >= timing.end_ms:
                 ended = OVER
             elif shared.opening:
@@ -345,14 +347,14 @@ def _command(
         waited_s = on_bus_s - least_s
         row = control_row(control, phase, slip_signal, reading, goal, round(now_us - status.zero_us))
         row["control/late_us"] = late_us
-        row["control/missed"] = pace.missed - missed_before
+        row["control/missed"] = deadlines.missed - missed_before
         row["control/slices_processed"] = status.slices
         if status.second is not None:
             row["control/second_slices_processed"] = status.second.slices
         row |= early_columns(early.written, len(status.fingers))
         answered_s = last_s if math.isnan(early.written.done_s) else early.written.done_s
         row["control/latency_us"] = answered_s * 1e6 + wire_us - _slip_began_us(status, seen_slips)
-        missed_before, seen_slips = pace.missed, [each.signal.slips for each in status.fingers]
+        missed_before, seen_slips = deadlines.missed, [each.signal.slips for each in status.fingers]
         early.after_step(control, phase, reading.position_ticks, slip_signal.slips)
         rows.append(row)
         if len(rows) >= BATCH_STEPS:
@@ -361,8 +363,8 @@ def _command(
             rows = []
     outbox.put(rows)
     seconds = last_s - began_s
-    result = ControllerEnded(ended, error, len(cycle_us), pace.missed, seconds, cycle_us, alive_us, math.nan, {})
-    return result._replace(missed_by_gripper=pace.missed_by_gripper)
+    result = ControllerEnded(ended, error, len(cycle_us), deadlines.missed, seconds, cycle_us, alive_us, math.nan, {})
+    return result._replace(missed_by_gripper=deadlines.missed_by_gripper)
 
 
 def _slip_began_us(status: DetectorStatus, seen: Sequence[int]) -> float:

@@ -194,7 +194,7 @@ def run_detector(
         gc.freeze()
         gc.disable()  # the loop creates no reference cycles
         outbox.flush(FLUSH_S)
-        detection = Detection(
+        detection = DetectorLoop(
             *(camera, detector, status, outbox, settings.slices, settings.finger, ending),
             may_move=lambda: take_order(orders),
         )
@@ -217,7 +217,7 @@ def run_detector(
 
 
 @dataclass(eq=False)
-class Detection:
+class DetectorLoop:
     """The loop of the detector's process: evaluates slices and passes them to the recorder.
 
     most: slices after which it ends; ending: signals received by this process. may_move: whether the gripper may move.

@@ -18,7 +18,7 @@ from evetac_cli.devices.plugin_devices import release_gripper
 from evetac_cli.errors import DeviceError
 from evetac_cli.interrupts import signals_held
 from evetac_cli.realtime.message_pipe import MessageReader
-from evetac_cli.realtime.processes import LastWords, exit_words, start_shielded, telling
+from evetac_cli.realtime.processes import ErrorText, exit_words, start_shielded, storing_error
 from evetac_cli.realtime.shared_status import SharedStatus
 from evetac_cli.trials.grasp import controller_process, detector_process
 from evetac_cli.trials.grasp.controller_process import ControllerEnded, ControllerSettings, GripperReady
@@ -56,7 +56,7 @@ class GraspProcesses:
         readers: list[MessageReader] = []
         detector_ends: list[Connection] = []
         started: list[BaseProcess] = []
-        self._words: list[LastWords] = []  # last words of the detectors and of the controller
+        self._error_texts: list[ErrorText] = []  # that ended the detectors and the controller
         for settings in detectors:
             of = "-second" if settings.finger else ""
             order, ours = context.Pipe(duplex=False)
@@ -64,13 +64,13 @@ class GraspProcesses:
             detector_end, alive = context.Pipe(duplex=False)  # nothing is sent on it: it closes when the detector ends
             self._orders.append(ours)
             readers.append(MessageReader(slices))
-            self._words.append(LastWords())
+            self._error_texts.append(ErrorText())
             view = None if world is None else world.seen_by(settings.finger)
             started.append(
                 context.Process(
-                    target=telling,
+                    target=storing_error,
                     args=(
-                        *(self._words[-1], detector_process.run_detector),
+                        *(self._error_texts[-1], detector_process.run_detector),
                         *(settings, self.status, view, order, slices_end, alive),
                     ),
                     name=f"evetac-detector{of}",
@@ -80,11 +80,11 @@ class GraspProcesses:
             theirs += [order, slices_end, alive]
         order, self._to_controller = context.Pipe(duplex=False)
         steps, steps_end = context.Pipe(duplex=False)
-        self._words.append(LastWords())
+        self._error_texts.append(ErrorText())
         self.controller = context.Process(
-            target=telling,
+            target=storing_error,
             args=(
-                *(self._words[-1], controller_process.run_controller),
+                *(self._error_texts[-1], controller_process.run_controller),
                 *(controller, self.status, order, steps_end, detector_ends),
             ),
             name="evetac-controller",
@@ -158,7 +158,7 @@ class GraspProcesses:
 
     def exit_words(self, process: Any) -> str:
         """Return how one of the processes ended; "" if it has not ended within a second."""
-        return exit_words(process, self._words[(*self.detectors, self.controller).index(process)])
+        return exit_words(process, self._error_texts[(*self.detectors, self.controller).index(process)])
 
     def close(self) -> None:
         """End all processes; afterwards torque is off, or the servo's watchdog stops the motor.
@@ -178,7 +178,7 @@ class GraspProcesses:
                 process.kill()
                 process.join()
 
-    def last_words(self) -> str:
+    def torque_words(self) -> str:
         """Return the torque state after all processes were closed, for a caller that aborts the recording."""
         ended = [message for message in self.steps.take() if isinstance(message, ControllerEnded)]
         return ended[-1].torque if ended else self.switch_off()

@@ -23,7 +23,7 @@ from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.kernels.slip import alarms
 from evetac_cli.kernels.slip.alarms import AlarmState
 from evetac_cli.kernels.slip.architectures import UNKNOWN_SENSITIVITY, Sensitivity, sensitivity_of
-from evetac_cli.kernels.slip.detector import Live
+from evetac_cli.kernels.slip.detector import LiveDetector
 from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.stages.model_files import chosen_threshold
 from evetac_cli.stages.slip_detectors import load_detector
@@ -67,7 +67,7 @@ def dots_for(model: StageFile, dot_xy_px: NDArray[np.float64]) -> NDArray[np.boo
 class OnlineSlipDetector:
     """The state of the detector after the slices so far."""
 
-    live: Live
+    live: LiveDetector
     alarm: AlarmState
     probability: float = float("nan")
     sticking: StickingShare | None = None  # for a network trained with the sticking share, or a law that needs it
@@ -94,7 +94,7 @@ class OnlineSlipDetector:
         dots = dots_for(model, dot_xy_px)
         tracking = tracker.start(dot_xy_px.reshape(-1, 2), constants, frame_px=frame_px)
         detector = load_detector(model)
-        live = Live(detector, tracking, window_px, sensor, dots)
+        live = LiveDetector(detector, tracking, window_px, sensor, dots)
         tracker.mean_displacement_px(tracking.record)  # compiles or loads it now instead of in the first slice
         started = cls(live, alarms.start(threshold))
         if "sticking" in detector.learned_extras:

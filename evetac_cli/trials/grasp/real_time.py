@@ -50,7 +50,7 @@ from evetac_cli.trials.trial import ReplayTrial, device_trials
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.gripper import VirtualGripper
     from evetac_cli.devices.virtual.world import VirtualWorld
-    from evetac_cli.trials.listen.desk import Desk
+    from evetac_cli.trials.listen.trial_requests import TrialRequests
 
 METHOD = 4  # method version of grasps in real time
 KINDS = ("lift",)  # kinds of scenes for grasps
@@ -185,17 +185,17 @@ def run(
     force: bool,
     progress: Progress,
     say: Callable[[str], None] = console.say,
-    desk: "Desk | None" = None,
+    requests: "TrialRequests | None" = None,
 ) -> Outcome:
     """Grasp once, in real time, and record everything. say: receives a line if the computer was too slow.
 
-    desk: a robot's program started the grasp, and may mark and end it.
+    requests: a robot's program started the grasp, and may mark and end it.
     """
     check(trial, force=force)
     cameras, gripper, seeds = trial.cameras, trial.gripper, trial.seeds()
     settings, timing = trial.settings, trial.timing
     is_hardware = gripper.has(Capability.HARDWARE)
-    if is_hardware and desk is None:
+    if is_hardware and requests is None:
         session.wait_for_object(trial)
     with ExitStack() as opened:
         received = opened.enter_context(interrupts.signals_interrupt())
@@ -205,8 +205,8 @@ def run(
             cameras[0], gripper, trial.plan, seeds, opened, armed=trial.armed, sends_truth=True, **durations
         )
         signals = opened.enter_context(interrupts.signals_counted(received))  # until here Ctrl-C aborts
-        if desk is not None:
-            opened.callback(desk.record_signals, signals)
+        if requests is not None:
+            opened.callback(requests.record_signals, signals)
         sensors = [_sensor(trial, world, finger) for finger in range(len(cameras))]
         parents = (*settings.parents(), *(header for camera in cameras for header in camera.parents()))
         detectors, controller = _process_settings(trial, sensors, world, servo)
@@ -230,7 +230,7 @@ def run(
             lambda done: progress(done, timing.end_ms),
             view,
             WRITING_NICE if is_hardware else BESIDE_VIRTUAL,
-            desk,
+            requests,
         )
         recorded = _record(recorder, gripper)
         processes.close()
@@ -301,14 +301,14 @@ def _begin_files(
 def _record(recorder: GraspRecorder, gripper: NamedGripper) -> RecordedGrasp:
     """Let the gripper move and record until the end; after an error, say the torque state and leave the segments."""
     try:
-        if not recorder.signals and (recorder.desk is None or not recorder.desk.end_reason):
+        if not recorder.signals and (recorder.requests is None or not recorder.requests.end_reason):
             recorder.processes.go()
         return recorder.record()
     except BaseException as error:
         for writer in recorder.writers:
             writer.leave()
         recorder.processes.close()
-        console.say(f"{gripper}: {recorder.processes.last_words()}")
+        console.say(f"{gripper}: {recorder.processes.torque_words()}")
         raise session.with_hint(error, recorder.writers[0]) from None
 
 

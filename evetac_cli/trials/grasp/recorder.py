@@ -33,7 +33,7 @@ from evetac_cli.trials.session import INTERRUPTED, LET_GO, OPENED
 
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
-    from evetac_cli.trials.listen.desk import Desk
+    from evetac_cli.trials.listen.trial_requests import TrialRequests
 
 PRIORITY = 20  # priority of the supervising loop, below servo and controller: it uses some hundredths of a core
 LAST_S = 0.5  # time for one process to end by itself after the other has ended
@@ -58,7 +58,7 @@ class GraspRecorder:
 
     view: shows the first finger of the grasp, and its button releases the gripper; niceness: of the writing thread.
 
-    desk: for a robot's program, which may mark and end the grasp.
+    requests: for a robot's program, which may mark and end the grasp.
     """
 
     processes: GraspProcesses
@@ -70,7 +70,7 @@ class GraspRecorder:
     progress: Callable[[int], None]
     view: LiveView | None = None
     niceness: int = 0
-    desk: "Desk | None" = None
+    requests: "TrialRequests | None" = None
     _received: int = field(default=0, init=False)  # slices of the first finger, some of which may wait to be written
     _heard_s: float = field(default=-math.inf, init=False)  # time of the last message: who still sends is waited for
 
@@ -100,7 +100,7 @@ class GraspRecorder:
             self._recorded.take_steps(message, self.writers[0], self.view)
 
     def _write_marks(self, *, last: bool = False) -> None:
-        for row in () if self.desk is None else self.desk.marked(last=last):
+        for row in () if self.requests is None else self.requests.marked(last=last):
             self.writers[0].append_rows(row)
 
     def _watch(self) -> None:
@@ -160,8 +160,8 @@ class GraspRecorder:
     def _end_on_request(self) -> None:
         """Let the grasp end if a robot's program, Ctrl-C, the live view or the emergency key asks for it."""
         recorded, view = self._recorded, self.view
-        if self.desk is not None and not recorded.ended:
-            recorded.ended = self._asked_to_end(self.desk)
+        if self.requests is not None and not recorded.ended:
+            recorded.ended = self._asked_to_end(self.requests)
         if self.signals and not recorded.ended:
             recorded.ended = INTERRUPTED
         if view is not None and view.is_asked_to_let_go and not recorded.ended:
@@ -170,11 +170,11 @@ class GraspRecorder:
             recorded.ended = OPENED
             self.processes.status.open_gripper()
 
-    def _asked_to_end(self, desk: "Desk") -> str:
+    def _asked_to_end(self, requests: "TrialRequests") -> str:
         """Return why a robot's program ends the grasp, "" if it does not."""
         if not self._recorded.slices:
-            return desk.end_reason
-        return desk.recorded(self._received, self.processes.now_s, self._recorded.zero_us, patience_s=STOP_S)
+            return requests.end_reason
+        return requests.recorded(self._received, self.processes.now_s, self._recorded.zero_us, patience_s=STOP_S)
 
     def _take_last_truths(self) -> None:
         """Take the ground truth of the last slices, which may arrive after them."""

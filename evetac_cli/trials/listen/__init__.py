@@ -1,6 +1,6 @@
 """--listen: a robot's program starts, marks and stops the recordings of a series, and names each of them.
 
-The recording thread queries the desk (desk.py) for commands once per slice. Requests arrive through the door (door.py),
+The recording thread looks for commands once per slice (trial_requests.py). They arrive at a port (request_server.py),
 whose address and token are stored in a file. A program that closes its connection changes nothing: the trial
 continues, and any program with the token may query, mark and stop it. A trial that no program stops ends after
 --seconds.
@@ -10,14 +10,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from evetac_cli import console, interrupts
 from evetac_cli.devices.kept_camera import KeptCamera
 from evetac_cli.errors import DeviceError, EvetacError, InputError, attach_outcome, attached_outcome
 from evetac_cli.jobs import Job, Outcome, Rows, require_possible_name
 from evetac_cli.store.hdf5.disk import existing_folder, missing_folders, remove_empty
-from evetac_cli.trials.listen.desk import Desk
+from evetac_cli.trials.listen.trial_requests import TrialRequests
 from evetac_cli.trials.session import ABORTED
 from evetac_cli.trials.trial import OUTPUT, DeviceTrial
 
@@ -62,11 +62,12 @@ def listening(trials: Sequence[DeviceTrial], out: Path | None, port: int, longes
     return Listening(first.inputs, (out or Path()) / FILE_NAME, first, port, longest_s)
 
 
-def listen(job: Listening, record: Callable[[Any, Desk], Outcome]) -> Outcome:
-    """Record the requested trials until Ctrl-C, which is raised. record: makes a trial, (trial, desk) -> Outcome."""
-    from evetac_cli.trials.listen.door import Door, address_file  # loads the socket libraries, only here
+def listen(job: Listening, record: Callable[..., Outcome]) -> Outcome:
+    """Record the requested trials until Ctrl-C, which is raised. record: makes a trial, (trial, requests=...)."""
+    # loads the socket libraries, only here
+    from evetac_cli.trials.listen.request_server import RequestServer, address_file
 
-    desk, first = Desk(job.longest_s), job.first
+    requests, first = TrialRequests(job.longest_s), job.first
     rows: Rows = []
     kept = [camera for camera in first.cameras if isinstance(camera, KeptCamera)]
     simulated = first.shows_simulation
@@ -78,17 +79,17 @@ def listen(job: Listening, record: Callable[[Any, Desk], Outcome]) -> Outcome:
                 opened.callback(camera.close)
                 for note in camera.open(camera.settings, None, first.seeds()).camera.notes:
                     console.say(note)
-            door = Door(desk.ask, job.port)
-            opened.callback(door.close)
-            opened.enter_context(address_file(job.output, door))
-            console.say(f"listening at 127.0.0.1:{door.port}; address and token are in {job.output}")
+            server = RequestServer(requests.ask, job.port)
+            opened.callback(server.close)
+            opened.enter_context(address_file(job.output, server))
+            console.say(f"listening at 127.0.0.1:{server.port}; address and token are in {job.output}")
             number = 0
             while True:
-                name = _next(desk, kept)
+                name = _next(requests, kept)
                 trial = _trial_like(first, job.folder, name, number)
-                rows += _one(trial, desk, record)
+                rows += _one(trial, requests, record)
                 number += 1
-                if desk.interrupted:
+                if requests.interrupted:
                     raise KeyboardInterrupt
     except KeyboardInterrupt as error:
         rows += getattr(attached_outcome(error), "rows", [])
@@ -97,9 +98,9 @@ def listen(job: Listening, record: Callable[[Any, Desk], Outcome]) -> Outcome:
         raise attach_outcome(KeyboardInterrupt(summary), Outcome(rows, simulated)) from None
 
 
-def _next(desk: Desk, kept: list[KeptCamera]) -> str:
+def _next(requests: TrialRequests, kept: list[KeptCamera]) -> str:
     """Return the name of the next trial once it is requested; meanwhile kept cameras are read."""
-    while not (name := desk.wanted(0.0 if any(camera.is_open for camera in kept) else WAIT_S)):
+    while not (name := requests.wanted(0.0 if any(camera.is_open for camera in kept) else WAIT_S)):
         for camera in kept:
             try:
                 camera.skip()
@@ -119,14 +120,14 @@ def _trial_like(first: AnyTrial, folder: Path, name: str, number: int) -> AnyTri
     return replace(first, output=files[0], files=files, series=(files,), taken=(), number=number)
 
 
-def _one(trial: DeviceTrial, desk: Desk, record: Callable[[Any, Desk], Outcome]) -> Rows:
+def _one(trial: DeviceTrial, requests: TrialRequests, record: Callable[..., Outcome]) -> Rows:
     """Record a trial, report its outcome, and return its rows; an error in it does not end the series."""
     outcome: Outcome | None = None
     error: BaseException | None = None
     try:
         for output in trial.outputs:
             require_possible_name(output)
-        outcome = record(trial, desk)
+        outcome = record(trial, requests=requests)
     except EvetacError as failed:
         error, outcome = failed, attached_outcome(failed)
     except BaseException as interrupted:
@@ -135,11 +136,11 @@ def _one(trial: DeviceTrial, desk: Desk, record: Callable[[Any, Desk], Outcome])
     finally:
         rows = [] if outcome is None else outcome.rows
         file = str(Path(rows[0]["output"]).resolve()) if rows else None
-        end_reason = desk.end_reason or ABORTED
+        end_reason = requests.end_reason or ABORTED
         ended = str(rows[0]["ended"]) if rows else end_reason if error is None else "nothing was recorded"
         slices = int(rows[0]["slices"]) if rows else 0
         words = _in_one_line(error) if isinstance(error, EvetacError) or (error and not rows) else ""
-        desk.ended(file, ended, slices, words)
+        requests.ended(file, ended, slices, words)
         console.say(f"{trial.output.name}: {words or f'{slices:,} slices, {ended}'}")
     return rows
 

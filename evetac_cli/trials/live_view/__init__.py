@@ -19,10 +19,10 @@ from evetac_cli.errors import DeviceError
 from evetac_cli.events import Events
 from evetac_cli.realtime.message_pipe import MessageWriter
 from evetac_cli.realtime.processes import (
-    LastWords,
+    ErrorText,
     exit_words,
     start_shielded,
-    telling,
+    storing_error,
     wait_while_computing,
     with_reason,
 )
@@ -53,10 +53,10 @@ class LiveView:
         self._missed = 0
         self._has_ended = self._death_reported = False
         self._moves = title.moves
-        self._last_words = LastWords()
+        self._error_text = ErrorText()
         self._process = context.Process(
-            target=telling,
-            args=(self._last_words, run_view, title, self._shared, open_detector, inbox, ready_end),
+            target=storing_error,
+            args=(self._error_text, run_view, title, self._shared, open_detector, inbox, ready_end),
             name="evetac-live-view",
             daemon=True,
         )
@@ -67,7 +67,7 @@ class LiveView:
             wait_while_computing(ready, self._process, "the live view did not start")
             self.url, self.url_once = ready.recv()
         except EOFError:
-            how = exit_words(self._process, self._last_words)
+            how = exit_words(self._process, self._error_text)
             raise DeviceError(
                 with_reason("the live view died while it started", how), hint="leave out --live"
             ) from None
@@ -138,7 +138,7 @@ class LiveView:
         if self._death_reported or self._has_ended or self._process.exitcode is None:
             return
         self._death_reported = True
-        how = exit_words(self._process, self._last_words)
+        how = exit_words(self._process, self._error_text)
         button = ", so its button no longer works: Ctrl-C releases the gripper" if self._moves else ""
         console.say(f"{with_reason('the live view died', how)}{button}; the recording continues")
 

@@ -8,6 +8,7 @@ is written. With --listen, a robot's program starts trials of the second type, a
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -178,7 +179,7 @@ def run(job: Job, params: Record, *, force: bool = False, progress: Progress = s
         case DeviceRecording():
             return capture.run(job, force=force, progress=progress)
         case Listening():
-            return listen(job, lambda trial, desk: capture.run(trial, force=force, progress=silent, desk=desk))
+            return listen(job, partial(capture.run, force=force, progress=silent))
         case ImportJob():
             return imported.run(job, params, force=force, progress=progress)
     raise TypeError(f"record has no {type(job).__name__}")

@@ -43,7 +43,7 @@ from evetac_cli.trials.session import ABORTED, INTERRUPTED, LET_GO
 from evetac_cli.trials.trial import OUTPUT
 
 if TYPE_CHECKING:
-    from evetac_cli.trials.listen.desk import Desk
+    from evetac_cli.trials.listen.trial_requests import TrialRequests
 
 NEWS_SLICES = 100  # number of slices after which losses are checked and reported
 METHOD = 1  # method version of recordings from devices
@@ -55,14 +55,14 @@ OWN_PARAMETERS = (  # parameters that may differ between trials of a series
 )
 
 
-def run(trial: DeviceRecording, *, force: bool = False, progress: Progress, desk: "Desk | None" = None) -> Outcome:
-    """Record one trial from devices. desk: a robot's program started it, and may mark and end it."""
+def run(trial: DeviceRecording, *, force: bool, progress: Progress, requests: "TrialRequests | None" = None) -> Outcome:
+    """Record one trial from devices. requests: a robot's program started it, and may mark and end it."""
     if is_done(trial, force=force):
         return _earlier(trial)
-    check(trial, force=force, taken=TAKEN if desk is None else NAME_TAKEN)
+    check(trial, force=force, taken=TAKEN if requests is None else NAME_TAKEN)
     seeds = trial.seeds()
     rng = np.random.default_rng(seeds.spawn(1)[0])
-    if desk is None and (trial.cameras[0].has(Capability.HARDWARE) or trial.gripper.has(Capability.HARDWARE)):
+    if requests is None and (trial.cameras[0].has(Capability.HARDWARE) or trial.gripper.has(Capability.HARDWARE)):
         session.wait_for_object(trial)
     with ExitStack() as opened, ExitStack() as priority:
         received = opened.enter_context(interrupts.signals_interrupt())
@@ -85,13 +85,13 @@ def run(trial: DeviceRecording, *, force: bool = False, progress: Progress, desk
             recordings.append(_begin(trial, rig, place, trajectory, None if place else view))
         moves = recordings[0].rig.gripper is not None
         with interrupts.signals_counted(received) as signals, session.gripper_key(moves=moves) as key:
-            if desk is not None:
-                opened.callback(desk.record_signals, signals)
-                if moves and desk.end_reason:
+            if requests is not None:
+                opened.callback(requests.record_signals, signals)
+                if moves and requests.end_reason:
                     with interrupts.signals_held():
                         _release(recordings)
                     return _thrown_away(recordings)
-            capture = _Capture(recordings, signals, progress, view, desk)
+            capture = _Capture(recordings, signals, progress, view, requests)
             capture.write(_hold(trial, recordings[0].rig), rng, trial.seconds, key)
             datasets = [recording.datasets(recordings[0].rig) for recording in recordings]
             with interrupts.signals_held():
@@ -235,7 +235,7 @@ class _Capture:
     signals: Sequence[int]
     progress: Progress
     view: LiveView | None
-    desk: "Desk | None"
+    requests: "TrialRequests | None"
 
     def write(self, hold: Hold | None, rng: np.random.Generator, seconds: float | None, key: EmergencyKey) -> None:
         """Follow the cameras until something ends the recording; a device failure is stored in the result."""
@@ -297,8 +297,8 @@ class _Capture:
             failed = [part.error for part in (loop, *(each.thread for each in self.recordings)) if part and part.error]
             if failed:
                 raise failed[0]
-            if self.desk is not None:
-                first.ended = self.desk.recorded(first.slices, camera.time.now_s, camera.host_us(0.0))
+            if self.requests is not None:
+                first.ended = self.requests.recorded(first.slices, camera.time.now_s, camera.host_us(0.0))
             if loop is not None and not first.ended:
                 first.ended = loop.ended
             if self.signals and not first.ended:
@@ -328,7 +328,7 @@ class _Capture:
         """
         first, *others = self.recordings
         commands = [] if first.loop is None else first.loop.rows()
-        for row in (*commands, *(() if self.desk is None else self.desk.marked(last=last))):
+        for row in (*commands, *(() if self.requests is None else self.requests.marked(last=last))):
             first.writer.append_rows(row)
         if self.view is not None:
             for row in commands:

@@ -14,7 +14,7 @@ from evetac_cli.evaluate.slip import EvaluateSlip
 from evetac_cli.evaluate.slip import measure as slip
 from evetac_cli.inspect import validate
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
-from evetac_cli.kernels.slip.detector import Live
+from evetac_cli.kernels.slip.detector import LiveDetector
 from evetac_cli.store.files import StageFile
 from tests.evaluate.slip.test_measure import features_file, trained
 from tests.make import run_stage
@@ -101,16 +101,16 @@ def test_a_step_is_a_whole_one(untrained: list[models.Candidate], monkeypatch: p
     seen: list[int] = []
     said: list[float] = []
     tracked: list[int] = []
-    inner = Live.step
+    inner = LiveDetector.step
 
-    def step_live(self: Live, x: Any, y: Any, p: Any) -> float:
+    def step_live(self: LiveDetector, x: Any, y: Any, p: Any) -> float:
         seen.append(len(x))
         said.append(inner(self, x, y, p))
         tracked.append(int(self.tracking.record["slices"][0]))
         return said[-1]
 
     step: Callable[[], Any] = models._grasp_step(candidate, np.random.default_rng(0))
-    monkeypatch.setattr(Live, "step", step_live)
+    monkeypatch.setattr(LiveDetector, "step", step_live)
     for _ in range(11):
         step()
     assert seen == [500] * 11

@@ -20,7 +20,7 @@ from evetac_cli.kernels.grip.control import (
     uses_detector,
     uses_sticking,
 )
-from evetac_cli.kernels.grip.load_law import Felt, LoadLaw
+from evetac_cli.kernels.grip.load_law import LawInput, LoadLaw
 from evetac_cli.kernels.grip.paper import GraspPhase
 
 CONTACT, LIFT, BALANCE = GraspPhase.CONTACT, GraspPhase.LIFT, GraspPhase.BALANCE
@@ -93,7 +93,7 @@ def test_load_proportional_gets_what_is_felt() -> None:
         (LIFT, SlipSignal(1, 0.1, 3.1, 0.3, 0.4, 0.8), 108),
     ):
         slip = signal.slips > 0 and position == 100
-        goal = load_proportional.step(state, phase, Felt(slip, *signal[2:]), position, 1 / 250, LoadLaw())
+        goal = load_proportional.step(state, phase, LawInput(slip, *signal[2:]), position, 1 / 250, LoadLaw())
         assert control.step(phase, signal, position) == goal
     assert control.x_ref_ticks == state.wanted_ticks
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evetac_cli.kernels.grip.load_law import Felt, FingerState, Gear, LoadLaw, Mode, observe, push
+from evetac_cli.kernels.grip.load_law import FingerState, Gear, LawInput, LoadLaw, Mode, observe, push
 from evetac_cli.kernels.grip.load_proportional import start, step
 from evetac_cli.kernels.grip.paper import GraspPhase
 
@@ -48,7 +48,7 @@ class World:
         slip = self.cries or (self.tells and phase is not CONTACT and self.slides)
         share = self.share
         position = math.floor(self.at_ticks)
-        goal = step(self.state, phase, Felt(slip, px, 0.0, 0.0, share), position, DT_S, self.law)
+        goal = step(self.state, phase, LawInput(slip, px, 0.0, 0.0, share), position, DT_S, self.law)
         ahead = goal - position - Gear().push_per_tick * max(self.at_ticks - self.state.rest_ticks, 0.0)
         beyond = abs(ahead) - Gear().band_ticks
         if beyond > 0.0 and phase is not CONTACT:
@@ -68,14 +68,14 @@ def test_contact_is_the_paper_s_until_something_is_felt() -> None:
     """Assert that light contact closes two ticks ahead of the fingers, and rests once the contact is felt."""
     state = start()
     for position in (0, 57, 300):
-        assert step(state, CONTACT, Felt(slip=True), position, DT_S, LAW) == position + 2
-    assert step(state, CONTACT, Felt(sticking_share=1.0), 300, DT_S, LAW) == 300
+        assert step(state, CONTACT, LawInput(slip=True), position, DT_S, LAW) == position + 2
+    assert step(state, CONTACT, LawInput(sticking_share=1.0), 300, DT_S, LAW) == 300
 
 
 def test_a_stiff_gear_is_pushed_harder_until_it_moves() -> None:
     """Assert that fingers which do not move for a while are pushed by a tick more, one step in four."""
     state = start()
-    goals = [step(state, CONTACT, Felt(), 100, DT_S, LAW) for _ in range(200)]
+    goals = [step(state, CONTACT, LawInput(), 100, DT_S, LAW) for _ in range(200)]
     dry = round(LAW.approach_dry_s / DT_S)
     assert set(goals[:dry]) == {102}
     assert sorted(goals[dry + 4 : dry + 12]) == [102] * 6 + [103] * 2
@@ -273,8 +273,8 @@ def test_load_counts_from_light_contact() -> None:
     loads = []
     for x, y, turn in ((3.0, 0.0, 0.0), (0.0, -3.0, 0.0), (-1.8, 2.4, 4.0 / LAW.turn)):
         state = start()
-        step(state, CONTACT, Felt(False, 7.0, -5.0, 1.0), 100, DT_S, LAW)
-        step(state, LIFT, Felt(False, 7.0 + x, -5.0 + y, 1.0 + turn), 100, DT_S, LAW)
+        step(state, CONTACT, LawInput(False, 7.0, -5.0, 1.0), 100, DT_S, LAW)
+        step(state, LIFT, LawInput(False, 7.0 + x, -5.0 + y, 1.0 + turn), 100, DT_S, LAW)
         loads.append(state.load.px)
     assert loads == pytest.approx([3.0, 3.0, 5.0])
 
@@ -284,7 +284,7 @@ def test_light_contact_that_was_not_felt_has_closed_further() -> None:
     rests = []
     for share in (1.0, math.nan):
         state = start()
-        step(state, CONTACT, Felt(sticking_share=share), 100, DT_S, LAW)
+        step(state, CONTACT, LawInput(sticking_share=share), 100, DT_S, LAW)
         rests.append(100.5 - state.rest_ticks)
     assert rests == [LAW.light_ticks, LAW.unfelt_ticks]
 
@@ -319,7 +319,7 @@ def test_a_load_that_falls_is_gripped_by_what_stops_a_slide() -> None:
     state = world.state
     needed, before = state.friction.needed, state.wanted_ticks - state.rest_ticks
     assert needed > 0.0
-    step(state, BALANCE, Felt(False, 0.7 * world.load_px, 0.0, 0.0, 1.0), math.floor(world.at_ticks), DT_S, LAW)
+    step(state, BALANCE, LawInput(False, 0.7 * world.load_px, 0.0, 0.0, 1.0), math.floor(world.at_ticks), DT_S, LAW)
     assert state.wanted_ticks - state.rest_ticks == pytest.approx(LAW.slide * before, rel=0.1)
     assert state.friction.needed == pytest.approx(min(needed * LAW.doubt, state.friction.first_needed * LAW.most_doubt))
 
@@ -374,7 +374,7 @@ def test_bounds(contact: list, lift: list, balance: list) -> None:
     state = start()
     for phase, sequence in ((CONTACT, contact), (LIFT, lift), (BALANCE, balance)):
         for *felt, position in sequence:
-            goal = step(state, phase, Felt(*felt), position, DT_S, LAW)
+            goal = step(state, phase, LawInput(*felt), position, DT_S, LAW)
             assert type(goal) is int
             assert 0 <= goal <= LAW.gear.last_tick
             assert math.isfinite(state.wanted_ticks)

@@ -18,7 +18,7 @@ from onnx import TensorProto, helper
 
 from evetac_cli.kernels.slip import features, inputs, networks, onnx_graphs
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, ImageArchitecture
-from evetac_cli.kernels.slip.detector import Detector, Live, over_each
+from evetac_cli.kernels.slip.detector import Detector, LiveDetector, over_each
 from evetac_cli.kernels.slip.features import EventImages
 from evetac_cli.kernels.tracking import presets, tracker
 
@@ -75,7 +75,7 @@ def test_live_is_over(name: str) -> None:
     history = result.architecture.history
     slices = history + 23
     offline = result.over(make_series(name, slices))
-    live = Live(result, started(), WINDOW)
+    live = LiveDetector(result, started(), WINDOW)
     online = [live.step(*events) for events in events_about_rims(slices)]
     np.testing.assert_array_equal(np.array(online, np.float32), offline)
     np.testing.assert_array_equal(np.isnan(offline), np.arange(slices) < history - 1)
@@ -100,7 +100,7 @@ def test_a_column_more_is_tracked_and_not_seen() -> None:
     known = np.arange(63) % 9 != 8
     rest = np.empty((63, 2))
     rest[known], rest[~known] = REST, REST[7::8] + (62.3, 0)
-    live = Live(result, tracker.start(rest, presets.PRESETS["stable"]), None, seen_dots=known)
+    live = LiveDetector(result, tracker.start(rest, presets.PRESETS["stable"]), None, seen_dots=known)
     state = tracker.start(rest, presets.PRESETS["stable"])
     stored, counts = np.empty((70, 56, 2), np.float32), np.empty((70, 56), np.int32)
     online = []
@@ -138,7 +138,7 @@ def test_a_part_is_judged_as_in_the_whole(name: str, first: int) -> None:
 def test_events_in_the_window_reach_no_model() -> None:
     """Assert that an image model says the same whether or not the window strip is full of events."""
     result = trained("hist10-img-6x6")
-    with_window, without = (Live(result, started(), WINDOW) for _ in range(2))
+    with_window, without = (LiveDetector(result, started(), WINDOW) for _ in range(2))
     for x, y, p in events_about_rims(20):
         gel = x < 540
         more = np.concatenate([x[gel], np.full(500, 560, np.uint16)])
@@ -170,7 +170,7 @@ def test_needs_no_torch() -> None:
 def test_dots_of_another_number_are_refused() -> None:
     """Assert that a tracker of fewer dots than the network was trained for is refused at the start."""
     with pytest.raises(ValueError, match="expected 7 x 8 dots for the network, found 48"):
-        Live(trained("hist10"), tracker.start(REST[:48], presets.PRESETS["stable"]), WINDOW)
+        LiveDetector(trained("hist10"), tracker.start(REST[:48], presets.PRESETS["stable"]), WINDOW)
 
 
 def test_m4_inputs_of_another_grid_are_a_value_error() -> None:

@@ -12,7 +12,7 @@ from evetac_cli.kernels.slip.architectures import (
     DotArchitecture,
     ExtraView,
 )
-from evetac_cli.kernels.slip.detector import Detector, Live
+from evetac_cli.kernels.slip.detector import Detector, LiveDetector
 from tests.kernels.slip.test_detector import WINDOW, events_about_rims, make_series, started
 
 GRIP = ARCHITECTURES["disp-xy-grip"]
@@ -64,7 +64,7 @@ def test_live_is_over_with_extras() -> None:
     known, dots = told(slices), make_series("disp-xy-grip", slices)
     assert isinstance(dots, np.ndarray)
     offline = detector.over(inputs.DotsAndExtras(dots, known))
-    live = Live(detector, started(), WINDOW)
+    live = LiveDetector(detector, started(), WINDOW)
     online = np.empty(slices, np.float32)
     for k, events in enumerate(events_about_rims(slices)):
         live.tell(*(float(value) for value in known[k]))
@@ -80,7 +80,7 @@ def test_never_told_is_all_unknown() -> None:
     assert isinstance(dots, np.ndarray)
     offline = detector.over(inputs.DotsAndExtras(dots, np.full((slices, len(EXTRAS)), np.nan, np.float32)))
     np.testing.assert_array_equal(detector.over(dots), offline)
-    live = Live(detector, started(), WINDOW)
+    live = LiveDetector(detector, started(), WINDOW)
     online = [live.step(*events) for events in events_about_rims(slices)]
     np.testing.assert_array_equal(np.array(online, np.float32), offline)
 

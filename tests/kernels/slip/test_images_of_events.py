@@ -11,7 +11,7 @@ from evetac_cli.kernels.event_drawing import fold
 from evetac_cli.kernels.event_representation import Representation
 from evetac_cli.kernels.slip import features, inputs, networks
 from evetac_cli.kernels.slip.architectures import PluginImageArchitecture, channels
-from evetac_cli.kernels.slip.detector import Detector, Live
+from evetac_cli.kernels.slip.detector import Detector, LiveDetector
 from evetac_cli.kernels.slip.features import GelEvents
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.presets import PRESETS
@@ -95,7 +95,7 @@ def test_online_as_in_training(name: str, events: Events, series: GelEvents) -> 
     architecture = MeanOfPicture(name, SEEN[name], images=3)
     network, detector = network_of(architecture)
     offline = detector.over(series)
-    live = Live(detector, tracker.start(DOTS, PRESETS["stable"]), WINDOW)
+    live = LiveDetector(detector, tracker.start(DOTS, PRESETS["stable"]), WINDOW)
     assert live.needs_times
     online = [live.step(one.x, one.y, one.p, one.t) for one in slices(events)]
     np.testing.assert_array_equal(np.float32(online), offline)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from evetac_cli.kernels.slip import sampling, training
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.inputs import Trajectory
-from evetac_cli.kernels.slip.sampling import PoolSizes, SampleGroups, Size, SlipSamples, drawn_groups
+from evetac_cli.kernels.slip.sampling import PoolSizes, SampleGroups, SlipSamples, TrajectorySize, drawn_groups
 
 HIST10 = ARCHITECTURES["hist10"]
 BUSY = 46  # samples of a trajectory: every other slice of 9 .. 99
@@ -112,7 +112,7 @@ def test_each_network_of_the_same_groups_is_the_same() -> None:
 )
 def test_groups_hold_all_within_the_memory(given_sizes: list[tuple[int, int, int]], most: int, seed: int) -> None:
     """Assert that every trajectory is in one group that can be trained on, and that groups are as large as allowed."""
-    sizes = [Size(memory, PoolSizes(slip, busy, 0)) for memory, slip, busy in given_sizes]
+    sizes = [TrajectorySize(memory, PoolSizes(slip, busy, 0)) for memory, slip, busy in given_sizes]
     groups = drawn_groups(sizes, most, np.random.default_rng(seed))
     assert sorted(index for group in groups for index in group) == list(range(len(sizes)))
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from evetac_cli.realtime.local_server import PageServer
-from evetac_cli.trials.listen.door import Door
+from evetac_cli.trials.listen.request_server import RequestServer
 from scripts.attack import other_user
 
 
@@ -29,7 +29,7 @@ def test_an_answer_is_reached_and_a_refusal_is_not(tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     page.touch()
     asked = b"GET / HTTP/1.0\r\nHost: 127.0.0.1\r\n\r\n"
-    for server in (PageServer([page], {}), Door(lambda request: pytest.fail(), 0)):
+    for server in (PageServer([page], {}), RequestServer(lambda request: pytest.fail(), 0)):
         assert not other_user.refused("port", lambda port=server.port: other_user.reply_to(port, asked))["reached"]
         server.close()
     server = PageServer([page], {})

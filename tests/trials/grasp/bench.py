@@ -14,7 +14,7 @@ from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import PAPER, GraspPhase
 from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
-from evetac_cli.realtime.shared_time import Bell
+from evetac_cli.realtime.shared_time import WakeSignal
 from evetac_cli.trials.grasp.controller_process import ControllerEnded, ControllerSettings, command_grasp
 from evetac_cli.trials.grasp.loop import Timing
 from tests.devices.stand_ins import StillGripper
@@ -34,13 +34,13 @@ class Clock(StepClock):
         self.passing: Callable[[], None] = lambda: None
         self.next_s: Callable[[], float] = lambda: math.inf  # when something happens next that may ring
 
-    def sleep(self, seconds: float, bell: Bell | None = None) -> bool:
+    def sleep(self, seconds: float, wake: WakeSignal | None = None) -> bool:
         assert seconds >= 0
         until_s = self.s + seconds
-        while bell is not None and not (rang := bell.wait(0.0)) and self.next_s() < until_s:
+        while wake is not None and not (rang := wake.wait(0.0)) and self.next_s() < until_s:
             self.s = self.next_s()
             self.passing()
-        if bell is not None and rang:
+        if wake is not None and rang:
             return True
         self.s = until_s
         self.passing()

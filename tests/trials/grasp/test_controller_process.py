@@ -12,39 +12,39 @@ from evetac_cli.errors import DeviceError
 from evetac_cli.kernels.grip.control import SlipSignal
 from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.realtime.shared_status import DetectorStatus
-from evetac_cli.trials.grasp.controller_process import COMMAND_BYTES, OVER, STOPPED, TOO_LONG, Watch
+from evetac_cli.trials.grasp.controller_process import COMMAND_BYTES, OVER, STOPPED, TOO_LONG, FaultDetector
+from evetac_cli.trials.grasp.deadlines import FRESH_US
 from evetac_cli.trials.grasp.loop import Timing
-from evetac_cli.trials.grasp.pace import FRESH_US
 from evetac_cli.trials.session import OPENED, RECORDER_LATE_MS
 from tests.trials.grasp.bench import FELT_S, PERIOD_S, WRITE_S, Bench, goals_by_law
 
 
 def test_watch() -> None:
     """Assert that silence of detector, camera and recorder are told apart, within the watchdog's time or 75 ms."""
-    watch = Watch(60)
+    faults = FaultDetector(60)
     status = DetectorStatus(SlipSignal(), 10, at_us=1e6, last_event_us=1e6, zero_us=0.0, slip_us=())
-    assert watch.fault(status, 1e6, 1.044e6)[0] == ""
-    reason, alive_us = watch.fault(status, 1.04e6, 1.046e6)
+    assert faults.fault(status, 1e6, 1.044e6)[0] == ""
+    reason, alive_us = faults.fault(status, 1.04e6, 1.046e6)
     assert ("detector" in reason, alive_us) == (True, 1e6)
-    reason, alive_us = watch.fault(status._replace(at_us=1.04e6), 1.04e6, 1.046e6)
+    reason, alive_us = faults.fault(status._replace(at_us=1.04e6), 1.04e6, 1.046e6)
     assert ("camera" in reason, alive_us) == (True, 1e6)
     later = status._replace(at_us=1.07e6, last_event_us=1.07e6)
-    assert watch.fault(later, 1e6, 1.074e6)[0] == ""
-    reason, alive_us = watch.fault(later, 1e6, 1.076e6)
+    assert faults.fault(later, 1e6, 1.074e6)[0] == ""
+    reason, alive_us = faults.fault(later, 1e6, 1.076e6)
     assert ("recorder" in reason, alive_us) == (True, 1e6)
-    assert Watch(200).fault(later._replace(at_us=1.14e6, last_event_us=1.14e6), 1e6, 1.149e6)[0] == ""
-    assert "recorder" in watch.fault(status, -math.inf, 1.001e6)[0]  # it never gave a sign of life
+    assert FaultDetector(200).fault(later._replace(at_us=1.14e6, last_event_us=1.14e6), 1e6, 1.149e6)[0] == ""
+    assert "recorder" in faults.fault(status, -math.inf, 1.001e6)[0]  # it never gave a sign of life
 
 
 def test_a_recorder_that_waits_for_a_core_is_late_for_seconds() -> None:
     """Assert that a silent recorder ends the grasp at once if it was stopped, and if it was not, after its 5 s."""
     stopped = False
-    watch = Watch(60, recorder_stopped=lambda: stopped)
+    faults = FaultDetector(60, recorder_stopped=lambda: stopped)
 
     def fault(silent_ms: float) -> str:
         now_us = 10e6
         status = DetectorStatus(SlipSignal(), 10, at_us=now_us, last_event_us=now_us, zero_us=0.0, slip_us=())
-        return watch.fault(status, now_us - 1e3 * silent_ms, now_us)[0]
+        return faults.fault(status, now_us - 1e3 * silent_ms, now_us)[0]
 
     assert [fault(ms) for ms in (74, 76, 1000, RECORDER_LATE_MS - 1)] == [""] * 4
     assert fault(RECORDER_LATE_MS + 1) == "the recorder hangs: no sign of life for 5001 ms"
@@ -55,13 +55,13 @@ def test_a_recorder_that_waits_for_a_core_is_late_for_seconds() -> None:
 
 def test_watch_counts_only_while_it_runs_but_not_for_ever() -> None:
     """Assert that who was stopped with the controller has time to go on, but no more than that time."""
-    watch = Watch(60)
+    faults = FaultDetector(60)
     status = DetectorStatus(SlipSignal(), 10, at_us=1e6, last_event_us=1e6, zero_us=0.0, slip_us=())
-    watch.slept_until(1.04e6)
-    assert watch.fault(status, 1e6, 1.084e6)[0] == ""
-    assert "detector" in watch.fault(status, 1e6, 1.086e6)[0]
-    watch.slept_until(1.09e6)
-    assert "detector" in watch.fault(status, 1e6, 1.091e6)[0]
+    faults.slept_until(1.04e6)
+    assert faults.fault(status, 1e6, 1.084e6)[0] == ""
+    assert "detector" in faults.fault(status, 1e6, 1.086e6)[0]
+    faults.slept_until(1.09e6)
+    assert "detector" in faults.fault(status, 1e6, 1.091e6)[0]
 
 
 def test_a_grasp_that_is_over(bench: Callable[..., Bench]) -> None:
@@ -230,7 +230,7 @@ def test_silence_of_the_second_finger_ends_with_torque_off(bench: Callable[..., 
 @pytest.mark.parametrize("finger", [0, 1])
 def test_the_death_of_either_detector_is_told(finger: int) -> None:
     """Assert that a detector whose process ended is named at once."""
-    watch = Watch(60, has_ended=lambda asked: asked == finger)
+    faults = FaultDetector(60, has_ended=lambda asked: asked == finger)
     status = DetectorStatus(SlipSignal(), 10, at_us=1e6, last_event_us=1e6, zero_us=0.0, slip_us=())
-    reason, _ = watch.fault(status._replace(second=status), 1e6, 1.001e6)
+    reason, _ = faults.fault(status._replace(second=status), 1e6, 1.001e6)
     assert reason == f"the detector of the {('first', 'second')[finger]} finger died"

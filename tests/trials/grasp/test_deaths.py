@@ -20,7 +20,7 @@ from evetac_cli.devices.cameras import NamedCamera, OpenedCamera
 from evetac_cli.errors import DeviceError
 from evetac_cli.events import Events, empty
 from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
-from evetac_cli.realtime.processes import LastWords, exit_words, telling
+from evetac_cli.realtime.processes import ErrorText, exit_words, storing_error
 from evetac_cli.realtime.shared_status import SharedStatus
 from evetac_cli.trials.grasp import recorder
 from evetac_cli.trials.grasp.controller_process import ControllerEnded
@@ -104,9 +104,9 @@ def started(fault: str, *, opens: bool = True) -> tuple[Any, MessageReader, list
     ended, alive = context.Pipe(duplex=False)
     seeds = np.random.SeedSequence(0)
     settings = DetectorSettings(Failing(fault=fault, opens=opens), seeds, {}, None, 10_000)
-    words = LastWords()
+    words = ErrorText()
     arguments = (words, run_detector, settings, SharedStatus(), None, theirs, slices_end, alive)
-    process = context.Process(target=telling, args=arguments, daemon=True)
+    process = context.Process(target=storing_error, args=arguments, daemon=True)
     process.start()
     for end in (theirs, slices_end, alive):
         end.close()
@@ -166,8 +166,8 @@ DEATHS = {
 @pytest.mark.parametrize("part", ["detector", "controller"])
 def test_the_recorder_tells_a_death_with_its_reason(part: str, how: str) -> None:
     """Assert that signal, exit code and last error stand behind `died`, for both processes."""
-    words = LastWords()
-    process = multiprocessing.get_context("spawn").Process(target=telling, args=(words, dies, how))
+    words = ErrorText()
+    process = multiprocessing.get_context("spawn").Process(target=storing_error, args=(words, dies, how))
     process.start()
     process.join(PATIENCE_S)
     recorded = RecordedGrasp(1000, torque="torque is off (read back)")

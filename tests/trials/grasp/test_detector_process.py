@@ -17,7 +17,7 @@ from evetac_cli.realtime import processes
 from evetac_cli.realtime.message_pipe import MessageReader, MessageWriter
 from evetac_cli.realtime.shared_status import DetectorStatus, SharedStatus
 from evetac_cli.resources import PACKAGE
-from evetac_cli.trials.grasp.detector_process import BATCH_MS, Detection, SliceBatch, noise
+from evetac_cli.trials.grasp.detector_process import BATCH_MS, DetectorLoop, SliceBatch, noise
 from tests.devices.stand_ins import StillCamera
 
 
@@ -96,7 +96,7 @@ def batches_in(inbox: MessageReader, outbox: MessageWriter) -> list[SliceBatch]:
 def test_status_and_slices(pipe: tuple[MessageReader, MessageWriter]) -> None:
     """Assert that every slice gives a status, with the host's time of the first event of slip, and is handed over."""
     camera, shared, most = Camera(4 * BATCH_MS), SpiedStatus(), 2 * BATCH_MS + 3
-    Detection(camera, Detector(), shared, pipe[1], most).run()
+    DetectorLoop(camera, Detector(), shared, pipe[1], most).run()
     assert [status.slices for status in shared.published] == list(range(1, most + 1))
     assert [status.signal.slips for status in shared.published] == [k // 3 for k in range(1, most + 1)]
     assert {status.zero_us for status in shared.published} == {7e6}
@@ -115,7 +115,7 @@ def test_status_and_slices(pipe: tuple[MessageReader, MessageWriter]) -> None:
 def test_slices_before_the_order_are_evaluated_and_not_published(pipe: tuple[MessageReader, MessageWriter]) -> None:
     """Assert that the gripper's controller hears nothing before it may move, and then nothing that is old."""
     shared, asked = SpiedStatus(), iter([False] * 6 + [True])
-    Detection(Camera(20), Detector(), shared, pipe[1], 12, may_move=lambda: next(asked)).run()
+    DetectorLoop(Camera(20), Detector(), shared, pipe[1], 12, may_move=lambda: next(asked)).run()
     assert [status.slices for status in shared.published] == list(range(7, 13))
     assert [status.signal.slips for status in shared.published] == [k // 3 for k in range(7, 13)]
     assert sum(len(batch.counts) for batch in batches_in(*pipe)) == 12
@@ -124,10 +124,10 @@ def test_slices_before_the_order_are_evaluated_and_not_published(pipe: tuple[Mes
 def test_the_detector_knows_what_the_controller_told(pipe: tuple[MessageReader, MessageWriter]) -> None:
     """Assert that a detector is told of the gripper as soon as the controller has read it, and not before."""
     shared, detector = SpiedStatus(), Detector()
-    Detection(Camera(20), detector, shared, pipe[1], 2).run()
+    DetectorLoop(Camera(20), detector, shared, pipe[1], 2).run()
     assert not hasattr(detector, "told")
     shared.tell_gripper(300.0, 310.0)
-    Detection(Camera(20), detector, shared, pipe[1], 2).run()
+    DetectorLoop(Camera(20), detector, shared, pipe[1], 2).run()
     assert detector.told == (300.0, 310.0)
 
 
@@ -135,17 +135,17 @@ def test_ends(pipe: tuple[MessageReader, MessageWriter]) -> None:
     """Assert that an order to stop ends it, and that a stream which ends too early is an error."""
     shared = SpiedStatus()
     shared.stop()
-    Detection(Camera(20), Detector(), shared, pipe[1], 10).run()
+    DetectorLoop(Camera(20), Detector(), shared, pipe[1], 10).run()
     assert shared.published == []
     with pytest.raises(DeviceError, match="stream ended"):
-        Detection(Camera(20), Detector(), SpiedStatus(), pipe[1], 30).run()
+        DetectorLoop(Camera(20), Detector(), SpiedStatus(), pipe[1], 30).run()
 
 
 def test_a_recorder_that_does_not_read() -> None:
     """Assert that slices which are not fetched are an error once too much is waiting, and not silently lost."""
     reading, writing = multiprocessing.Pipe(duplex=False)
     with pytest.raises(DeviceError, match="cannot keep up"):
-        Detection(Camera(500), Detector(), SpiedStatus(), MessageWriter(writing, most_bytes=3_000_000), 500).run()
+        DetectorLoop(Camera(500), Detector(), SpiedStatus(), MessageWriter(writing, most_bytes=3_000_000), 500).run()
     reading.close()
     writing.close()
 

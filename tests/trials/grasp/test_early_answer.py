@@ -13,7 +13,7 @@ from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.kernels.grip.control import LawState, PluginLaw, SlipSignal
 from evetac_cli.kernels.grip.load_law import LoadLaw
 from evetac_cli.kernels.grip.paper import GraspPhase
-from evetac_cli.realtime.shared_time import Bell
+from evetac_cli.realtime.shared_time import WakeSignal
 from evetac_cli.trials.grasp.controller_process import OVER
 from tests.trials.grasp.bench import PERIOD_S, WRITE_S, Bench, goals_by_law
 
@@ -50,14 +50,14 @@ def test_slip_between_two_steps_is_answered_once(bench: Callable[..., Bench], ev
 
 
 def test_the_steps_are_those_of_a_controller_that_sleeps_through(bench: Callable[..., Bench]) -> None:
-    """Assert that steps are as without a bell: same times, same slices; fingers that do not move get the same goals."""
+    """Assert that steps are as without a wake: same times, same slices; fingers that do not move get the same goals."""
     rows: list[list[dict[str, Any]]] = []
     for hears in (True, False):
         at = bench(slips=lambda k: k % 7 == 0)
         at.hand.is_held = True
         if not hears:
             at.clock.next_s = lambda: math.inf
-            at.shared.slip_bell.wait = lambda seconds: False  # type: ignore[method-assign]
+            at.shared.slip_wake.wait = lambda seconds: False  # type: ignore[method-assign]
         rows.append(at.run()[1])
     assert len(early(rows[0])) > 20
     assert not early(rows[1])
@@ -100,9 +100,9 @@ def test_a_bus_that_fails_at_an_early_command(bench: Callable[..., Bench]) -> No
     at = bench(slips=lambda k: k % 50 == 30 or k % 50 == 7)
     write, sleep, rang = at.hand.write_position, at.clock.sleep, False
 
-    def noting_sleep(seconds: float, bell: Bell | None = None) -> bool:
+    def noting_sleep(seconds: float, wake: WakeSignal | None = None) -> bool:
         nonlocal rang
-        rang = sleep(seconds, bell)
+        rang = sleep(seconds, wake)
         return rang
 
     def failing_write(goal: int) -> None:

@@ -136,7 +136,7 @@ class GraspProcesses:
     def close(self) -> None:
         GraspProcesses.closed += 1
 
-    def last_words(self) -> str:
+    def torque_words(self) -> str:
         return "torque is off (read back)"
 
 

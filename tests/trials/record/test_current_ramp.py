@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from evetac_cli.devices import GripperReading
 from evetac_cli.devices.virtual.servo_plant import Goals, Obstacle, OwnDynamics
 from evetac_cli.errors import DeviceError
-from evetac_cli.realtime.shared_time import Bell
+from evetac_cli.realtime.shared_time import WakeSignal
 from evetac_cli.trials.record.current_ramp import (
     COMMAND_MS,
     LAST_TICK,
@@ -208,7 +208,7 @@ class Clock:
     def now_s(self) -> float:
         return self.s
 
-    def sleep(self, seconds: float, bell: Bell | None = None) -> bool:
+    def sleep(self, seconds: float, wake: WakeSignal | None = None) -> bool:
         time.sleep(0)
         self.s += max(seconds, 1e-6)
         self.passing()

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from evetac_cli.trials.grasp.pace import FRESH_US, MOST_SHIFT_US, Pace, shift_us
+from evetac_cli.trials.grasp.deadlines import FRESH_US, MOST_SHIFT_US, Deadlines, shift_us
 from tests.trials.grasp.bench import MOST_S, PERIOD_S, Clock
 
 
@@ -14,11 +14,11 @@ from tests.trials.grasp.bench import MOST_S, PERIOD_S, Clock
 def test_deadlines_are_absolute_and_none_is_hidden(took: list[float]) -> None:
     """Assert that steps begin on the grid, or less than a period late, and that every deadline that passed counts."""
     clock = Clock()
-    pace = Pace(PERIOD_S, clock.now_s, clock.sleep)
+    deadlines = Deadlines(PERIOD_S, clock.now_s, clock.sleep)
     began_s = clock.s
     passed = 0
     for seconds in took:
-        late_us = pace.wait()
+        late_us = deadlines.wait()
         assert 0.0 <= late_us < (PERIOD_S + MOST_S) * 1e6
         due_s = clock.s - late_us * 1e-6
         steps = (due_s - began_s) / PERIOD_S
@@ -27,21 +27,21 @@ def test_deadlines_are_absolute_and_none_is_hidden(took: list[float]) -> None:
         periods = (clock.s - due_s) / PERIOD_S
         assume(not 0 < abs(periods - round(periods)) < 1e-6)  # whether it is in time is then a matter of rounding
         passed += math.floor(periods)
-    pace.wait()
-    assert pace.missed == passed
+    deadlines.wait()
+    assert deadlines.missed == passed
 
 
 def test_one_long_step() -> None:
     """Assert that a step of three and a half periods costs three deadlines; the next begins half a one late."""
     clock = Clock()
-    pace = Pace(PERIOD_S, clock.now_s, clock.sleep)
-    assert pace.wait() == 0.0
+    deadlines = Deadlines(PERIOD_S, clock.now_s, clock.sleep)
+    assert deadlines.wait() == 0.0
     clock.s += 3.5 * PERIOD_S
-    assert pace.wait() == pytest.approx(0.5e6 * PERIOD_S)
-    assert pace.missed == 3
+    assert deadlines.wait() == pytest.approx(0.5e6 * PERIOD_S)
+    assert deadlines.missed == 3
     clock.s += 0.1 * PERIOD_S
-    assert pace.wait() == pytest.approx(0.0, abs=1e-3)
-    assert pace.missed == 3
+    assert deadlines.wait() == pytest.approx(0.0, abs=1e-3)
+    assert deadlines.missed == 3
 
 
 @given(own=st.lists(st.floats(0.0, 0.01), min_size=1, max_size=20), waited=st.lists(st.floats(0.0, 0.01), min_size=20))
@@ -51,8 +51,8 @@ def test_whose_fault_a_missed_deadline_is(own: list[float], waited: list[float])
     A step that took so long on its own, and so much longer because it waited, begins where the one before ended.
     """
     clock = Clock()
-    pace = Pace(PERIOD_S, clock.now_s, clock.sleep)
-    late_us = pace.wait()
+    deadlines = Deadlines(PERIOD_S, clock.now_s, clock.sleep)
+    late_us = deadlines.wait()
     due_s = clock.s - late_us * 1e-6
     ours = gripper = 0
     for alone_s, waited_s in zip(own, waited, strict=False):
@@ -63,9 +63,9 @@ def test_whose_fault_a_missed_deadline_is(own: list[float], waited: list[float])
         alone = math.floor((begun_s + alone_s - due_s) / PERIOD_S)
         ours += alone
         gripper += math.floor((clock.s - due_s) / PERIOD_S) - alone
-        late_us = pace.wait(waited_s)
+        late_us = deadlines.wait(waited_s)
         due_s = clock.s - late_us * 1e-6
-    assert (pace.missed - pace.missed_by_gripper, pace.missed_by_gripper) == (ours, gripper)
+    assert (deadlines.missed - deadlines.missed_by_gripper, deadlines.missed_by_gripper) == (ours, gripper)
 
 
 @given(age_us=st.floats(0.0, 5000.0))

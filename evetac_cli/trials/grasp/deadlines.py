@@ -21,7 +21,7 @@ FOLLOWING = 0.02  # share of a step's offset that is corrected at once
 MOST_SHIFT_US = 4.0
 
 
-class Pace:
+class Deadlines:
     """Absolute deadlines at equal intervals, on a clock that tests can replace."""
 
     def __init__(
@@ -95,7 +95,7 @@ class EarlyAnswer:
     """Sleeps for the controller, and answers slip while it sleeps.
 
     The detector may find slip after any slice, and the controller makes a step after every second one. Until that step
-    the bus is idle. So the controller sleeps until the step, or until the detector rings a bell (shared_status.py). On
+    the bus is idle. So the controller sleeps until the step, or until the detector wakes it (shared_status.py). On
     new slip it immediately writes the command that the next step would give: the law's step on a copy of its state,
     with the last position read, which is at most one step old.
 
@@ -140,7 +140,7 @@ class EarlyAnswer:
         """Sleep for this time; DeviceError if a command fails meanwhile, EvetacError if a law does."""
         due_s = self._time.now_s() + seconds
         while (left_s := due_s - self._time.now_s()) > 0:
-            if self._time.sleep(left_s, self._shared.slip_bell):
+            if self._time.sleep(left_s, self._shared.slip_wake):
                 self._answer(due_s)
 
     def _answer(self, due_s: float) -> None:

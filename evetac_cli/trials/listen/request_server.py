@@ -1,4 +1,4 @@
-"""The door for a robot's program: a TCP port that takes one JSON object per line, and the file that leads to it.
+"""The server for a robot's program: a TCP port that takes one JSON object per line, and the file that leads to it.
 
 All users of a computer share 127.0.0.1, and a page of any site that is open in a browser can send to it. So each line
 carries the token, which is in a file of mode 0600. A line without it, for example an HTTP request, is refused and its
@@ -30,7 +30,7 @@ def _line(answer: Answer) -> bytes:
     return json.dumps(answer).encode() + b"\n"
 
 
-class Door(LocalServer):
+class RequestServer(LocalServer):
     """Listens until it is closed. ask: takes a request and returns the future of its answer."""
 
     full = _line({"ok": False, "error": f"refused: {MOST_CONNECTIONS} connections are open"})
@@ -47,7 +47,7 @@ class Door(LocalServer):
 class _Connection(StreamRequestHandler):
     """Answers the lines of one connection until it ends, or lacks the token."""
 
-    server: Door
+    server: RequestServer
     timeout = REQUEST_S
 
     def handle(self) -> None:
@@ -71,15 +71,15 @@ class _Connection(StreamRequestHandler):
 
 
 @contextmanager
-def address_file(path: Path, door: Door) -> Iterator[None]:
+def address_file(path: Path, server: RequestServer) -> Iterator[None]:
     """Write address, port and token on one line of a file that only this user can read, and remove it at the end.
 
     The file of a killed process is replaced. InputError if another process listens here, or evetac did not write it.
     """
-    line = f"{ADDRESS} {door.port} {door.token}\n".encode()
+    line = f"{ADDRESS} {server.port} {server.token}\n".encode()
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        _check_replaceable(path, door.port)
+        _check_replaceable(path, server.port)
         with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
             file.write(line)
         temporary.replace(path)

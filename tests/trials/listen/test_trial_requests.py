@@ -1,4 +1,4 @@
-"""The desk: what a robot's program is answered, and what whoever records is told."""
+"""The requests: what a robot's program is answered, and what whoever records is told."""
 
 import math
 import time
@@ -9,24 +9,24 @@ import numpy as np
 import pytest
 
 from evetac_cli.store.recordings import streams
-from evetac_cli.trials.listen.desk import Desk
+from evetac_cli.trials.listen.trial_requests import TrialRequests
 from evetac_cli.trials.session import ABORTED, STOPPED
 
 LONG_AGO_S = 100.0  # before now the recording began
 
 
-def asked(desk: Desk, command: str, **fields: Any) -> dict[str, Any]:
+def asked(requests: TrialRequests, command: str, **fields: Any) -> dict[str, Any]:
     """The answer, which has come."""
-    return desk.ask({"token": "x", "command": command, **fields}).result(0)
+    return requests.ask({"token": "x", "command": command, **fields}).result(0)
 
 
-def recording(desk: Desk, slices: int = 1, zero_us: float | None = None) -> float:
+def recording(requests: TrialRequests, slices: int = 1, zero_us: float | None = None) -> float:
     """Let a trial begin that began LONG_AGO_S before now; when that was, in us."""
-    waiting = desk.ask({"command": "start", "name": "cup-01"})
+    waiting = requests.ask({"command": "start", "name": "cup-01"})
     assert not waiting.done()
-    assert desk.wanted() == "cup-01"
+    assert requests.wanted() == "cup-01"
     began_us = 1e6 * (time.monotonic() - LONG_AGO_S) if zero_us is None else zero_us
-    assert desk.recorded(slices, time.monotonic, began_us) == ""
+    assert requests.recorded(slices, time.monotonic, began_us) == ""
     assert waiting.result(0)["state"] == "recording"
     return began_us
 
@@ -51,65 +51,65 @@ def recording(desk: Desk, slices: int = 1, zero_us: float | None = None) -> floa
 )
 def test_what_cannot_be_granted_is_said(command: Any, fields: dict[str, Any], words: str) -> None:
     """Assert that names are names of files, and that a request says which part of it is wrong."""
-    desk = Desk()
-    answer = asked(desk, command, **fields)
+    requests = TrialRequests()
+    answer = asked(requests, command, **fields)
     assert not answer["ok"]
     assert words in answer["error"]
-    assert (answer["state"], desk.wanted()) == ("idle", "")
+    assert (answer["state"], requests.wanted()) == ("idle", "")
 
 
 def test_a_mark_lies_where_it_was_sent() -> None:
     """Assert that `at_s` is the mark's time, that without it it lies between sending and answer, and its slice."""
-    desk = Desk()
-    began_us = recording(desk)
+    requests = TrialRequests()
+    began_us = recording(requests)
     at_s = time.monotonic() - 2.0
-    told = asked(desk, "mark", text="told", at_s=at_s)
+    told = asked(requests, "mark", text="told", at_s=at_s)
     assert abs(told["t_us"] - (1e6 * at_s - began_us)) < 1000
     sent_us = 1e6 * time.monotonic() - began_us
-    came = asked(desk, "mark", text="camé")
+    came = asked(requests, "mark", text="camé")
     assert sent_us - 1000 < came["t_us"] <= 1e6 * time.monotonic() - began_us + 1000
     assert came["slice"] == came["t_us"] // 1000
-    rows = desk.marked()
+    rows = requests.marked()
     assert [row["marks/t_us"] for row in rows] == [told["t_us"], came["t_us"]]
     assert rows == [] or bytes(rows[1]["marks/text"]).rstrip(b"\0").decode() == "camé"
-    assert desk.marked() == []
+    assert requests.marked() == []
 
 
 @pytest.mark.parametrize("seconds", [-LONG_AGO_S - 1.0, 10.0, -3.0])
 def test_a_mark_of_another_time_is_refused(seconds: float) -> None:
     """Assert that a time before the trial, after now, or before another mark is none."""
-    desk = Desk()
-    recording(desk)
-    asked(desk, "mark", text="before", at_s=time.monotonic() - 2.0)
-    assert not asked(desk, "mark", text="x", at_s=time.monotonic() + seconds)["ok"]
-    assert not asked(desk, "mark", text="x", at_s=True)["ok"]
-    assert len(desk.marked()) == 1
+    requests = TrialRequests()
+    recording(requests)
+    asked(requests, "mark", text="before", at_s=time.monotonic() - 2.0)
+    assert not asked(requests, "mark", text="x", at_s=time.monotonic() + seconds)["ok"]
+    assert not asked(requests, "mark", text="x", at_s=True)["ok"]
+    assert len(requests.marked()) == 1
 
 
 def test_a_camera_without_a_clock_has_marks_all_the_same() -> None:
     """Assert that where nobody knows the time, a mark lies after the slices so far."""
-    desk = Desk()
-    recording(desk, 42, math.nan)
-    assert asked(desk, "mark", text="x")["t_us"] == 42_000
+    requests = TrialRequests()
+    recording(requests, 42, math.nan)
+    assert asked(requests, "mark", text="x")["t_us"] == 42_000
 
 
 def test_stop_waits_for_the_slice_of_its_moment() -> None:
     """Assert that all up to the moment of `stop` is recorded, that its answer is the file, and comes again if asked."""
-    desk = Desk()
-    began_us = recording(desk)
-    stopped = desk.ask({"command": "stop"})
+    requests = TrialRequests()
+    began_us = recording(requests)
+    stopped = requests.ask({"command": "stop"})
     slices = int((1e6 * time.monotonic() - began_us) / 1000) + 1
-    assert desk.recorded(slices - 1000, time.monotonic, began_us) == ""
-    assert not asked(desk, "mark", text="late")["ok"]
-    assert desk.recorded(slices + 1, time.monotonic, began_us) == STOPPED
+    assert requests.recorded(slices - 1000, time.monotonic, began_us) == ""
+    assert not asked(requests, "mark", text="late")["ok"]
+    assert requests.recorded(slices + 1, time.monotonic, began_us) == STOPPED
     assert not stopped.done()
-    desk.marked(last=True)
-    assert asked(desk, "status")["state"] == "saving"
-    assert "too late" in asked(desk, "abort")["error"]
-    assert "is being recorded" in asked(desk, "start", name="b")["error"]
-    again = desk.ask({"command": "stop"})
-    desk.ended("/data/cup-01.recording.h5", STOPPED, slices)
-    for answer in (stopped.result(0), again.result(0), asked(desk, "stop")):
+    requests.marked(last=True)
+    assert asked(requests, "status")["state"] == "saving"
+    assert "too late" in asked(requests, "abort")["error"]
+    assert "is being recorded" in asked(requests, "start", name="b")["error"]
+    again = requests.ask({"command": "stop"})
+    requests.ended("/data/cup-01.recording.h5", STOPPED, slices)
+    for answer in (stopped.result(0), again.result(0), asked(requests, "stop")):
         assert answer["ok"]
         assert (answer["file"], answer["slices"]) == ("/data/cup-01.recording.h5", slices)
         assert (answer["trials"], answer["state"], answer["last"]) == (1, "idle", answer["file"])
@@ -117,45 +117,45 @@ def test_stop_waits_for_the_slice_of_its_moment() -> None:
 
 def test_a_camera_that_is_late_does_not_keep_stop_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that a trial ends some time after `stop`, also where the slice of its moment does not come."""
-    desk = Desk()
-    began_us = recording(desk)
-    desk.ask({"command": "stop"})
+    requests = TrialRequests()
+    began_us = recording(requests)
+    requests.ask({"command": "stop"})
     now_s = time.monotonic()
     monkeypatch.setattr(time, "monotonic", lambda: now_s + 1.5)
-    assert desk.recorded(2, lambda: now_s, began_us) == STOPPED
+    assert requests.recorded(2, lambda: now_s, began_us) == STOPPED
 
 
 def test_abort_ends_at_once_and_counts_as_no_trial() -> None:
     """Assert that an aborted trial has no file, and that the next may have its name."""
-    desk = Desk()
-    began_us = recording(desk)
-    waiting = desk.ask({"command": "abort"})
-    assert desk.recorded(2, time.monotonic, began_us) == ABORTED
-    desk.ended(None, ABORTED)
+    requests = TrialRequests()
+    began_us = recording(requests)
+    waiting = requests.ask({"command": "abort"})
+    assert requests.recorded(2, time.monotonic, began_us) == ABORTED
+    requests.ended(None, ABORTED)
     answer = waiting.result(0)
     assert answer["ok"]
     assert (answer["file"], answer["trials"], answer["last"]) == (None, 0, None)
-    recording(desk)
+    recording(requests)
 
 
 def test_a_start_that_fails_is_told_to_whoever_waits() -> None:
-    """Assert that `start` and a `stop` behind it get the error, and the desk is free again."""
-    desk = Desk()
-    waiting = [desk.ask({"command": "start", "name": "a"}), desk.ask({"command": "stop"})]
-    desk.ended(None, "nothing was recorded", error="the camera is unplugged")
+    """Assert that `start` and a `stop` behind it get the error, and another trial may start."""
+    requests = TrialRequests()
+    waiting = [requests.ask({"command": "start", "name": "a"}), requests.ask({"command": "stop"})]
+    requests.ended(None, "nothing was recorded", error="the camera is unplugged")
     for answer in waiting:
         assert not answer.result(0)["ok"]
         assert answer.result(0)["error"] == "the camera is unplugged"
-    assert "unplugged" in asked(desk, "stop")["error"]
-    assert asked(desk, "status")["state"] == "idle"
+    assert "unplugged" in asked(requests, "stop")["error"]
+    assert asked(requests, "status")["state"] == "idle"
 
 
 def test_a_trial_that_nobody_stops_ends() -> None:
     """Assert that the longest time ends a trial, in words, and only then."""
-    desk = Desk(longest_s=2.0)
-    began_us = recording(desk)
-    assert desk.recorded(1999, time.monotonic, began_us) == ""
-    assert "no stop command" in desk.recorded(2000, time.monotonic, began_us)
+    requests = TrialRequests(longest_s=2.0)
+    began_us = recording(requests)
+    assert requests.recorded(1999, time.monotonic, began_us) == ""
+    assert "no stop command" in requests.recorded(2000, time.monotonic, began_us)
 
 
 def test_rows_hold_texts_as_they_are() -> None:
@@ -176,33 +176,33 @@ def test_rows_hold_texts_as_they_are() -> None:
 
 def test_a_wait_ends_with_a_start() -> None:
     """Assert that whoever waits for a name has it as soon as it is asked for."""
-    desk = Desk()
-    assert desk.wanted(0.001) == ""
-    held: Callable[..., Any] = desk.ask
+    requests = TrialRequests()
+    assert requests.wanted(0.001) == ""
+    held: Callable[..., Any] = requests.ask
     held({"command": "start", "name": "a"})
-    assert desk.wanted(600.0) == "a"
+    assert requests.wanted(600.0) == "a"
 
 
 @pytest.mark.parametrize(("command", "why"), [("stop", STOPPED), ("abort", ABORTED)])
 def test_what_is_called_off_before_it_begins_is_known(command: str, why: str) -> None:
     """Assert that whoever records sees it before anything moves, that start is refused, and that the next is free."""
-    desk = Desk()
-    starting = desk.ask({"command": "start", "name": "a"})
-    assert desk.end_reason == ""
-    ending = desk.ask({"command": command})
-    assert desk.end_reason == why
-    desk.ended(None, desk.end_reason)
+    requests = TrialRequests()
+    starting = requests.ask({"command": "start", "name": "a"})
+    assert requests.end_reason == ""
+    ending = requests.ask({"command": command})
+    assert requests.end_reason == why
+    requests.ended(None, requests.end_reason)
     assert (starting.result(0)["ok"], starting.result(0)["error"]) == (False, why)
     assert (ending.result(0)["ok"], ending.result(0)["file"], ending.result(0)["ended"]) == (True, None, why)
-    desk.ask({"command": "start", "name": "b"})
-    assert desk.end_reason == ""
+    requests.ask({"command": "start", "name": "b"})
+    assert requests.end_reason == ""
 
 
 def test_signals_during_a_trial_are_remembered() -> None:
     """Assert that one that came is not forgotten for a later trial without, and that 0 is none."""
-    desk = Desk()
-    desk.record_signals([0])
-    assert not desk.interrupted
-    desk.record_signals([2, 0])
-    desk.record_signals([])
-    assert desk.interrupted
+    requests = TrialRequests()
+    requests.record_signals([0])
+    assert not requests.interrupted
+    requests.record_signals([2, 0])
+    requests.record_signals([])
+    assert requests.interrupted

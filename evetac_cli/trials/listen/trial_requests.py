@@ -1,6 +1,7 @@
-"""The desk between a robot's program and the recording thread: requests on one side, the state on the other.
+"""What a robot's program requests of the recording thread, and what it is answered.
 
-Requests arrive on a separate thread (door.py) and are answered from the last state that the recording thread reported.
+Requests arrive on a separate thread (request_server.py). They are answered from the last state that the recording
+thread reported.
 The recording thread looks here once per slice, which takes some us, and never waits for a request.
 """
 
@@ -41,7 +42,7 @@ class Refusal(ValueError):
     """A request that cannot be granted; its text is the reason."""
 
 
-class Desk:
+class TrialRequests:
     """Takes requests (`ask`), and informs the recording thread of them; each method may be called from any thread."""
 
     def __init__(self, longest_s: float | None = None) -> None:
@@ -64,7 +65,7 @@ class Desk:
         self._now_s: Callable[[], float] = time.monotonic
         self._zero_us = math.nan  # when the recording began, by the same clock
 
-    # Called by the door.
+    # Called by the server.
 
     def ask(self, request: Mapping[str, Any]) -> "Future[Answer]":
         """Return the answer to a request: at once, or when a trial has started or its file is complete."""

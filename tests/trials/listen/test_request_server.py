@@ -1,4 +1,4 @@
-"""The door: whoever has the token, which is in a file for its user alone, is answered; nobody else gets anything."""
+"""The server: whoever has the token, which is in a file for its user alone, is answered; nobody else gets anything."""
 
 import json
 import os
@@ -17,7 +17,7 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.realtime.local_server import ADDRESS, MOST_BYTES
 from evetac_cli.resources import PACKAGE
-from evetac_cli.trials.listen.door import REFUSED, Door, address_file
+from evetac_cli.trials.listen.request_server import REFUSED, RequestServer, address_file
 from tests.patience import PATIENCE_S, until
 
 
@@ -44,18 +44,18 @@ def asked() -> Asked:
 
 
 @pytest.fixture
-def door(asked: Asked) -> Iterator[Door]:
-    door = Door(asked, 0)
-    yield door
-    door.close()
+def server(asked: Asked) -> Iterator[RequestServer]:
+    server = RequestServer(asked, 0)
+    yield server
+    server.close()
 
 
-def connected(door: Door) -> socket.socket:
-    return socket.create_connection((ADDRESS, door.port), timeout=PATIENCE_S)
+def connected(server: RequestServer) -> socket.socket:
+    return socket.create_connection((ADDRESS, server.port), timeout=PATIENCE_S)
 
 
-def line(door: Door, **fields: Any) -> bytes:
-    return json.dumps({"token": door.token, **fields}).encode() + b"\n"
+def line(server: RequestServer, **fields: Any) -> bytes:
+    return json.dumps({"token": server.token, **fields}).encode() + b"\n"
 
 
 def refusal(why: str) -> bytes:
@@ -73,10 +73,10 @@ def everything(connection: socket.socket) -> bytes:
     return b"".join(parts)
 
 
-def test_each_line_has_its_answer(door: Door) -> None:
+def test_each_line_has_its_answer(server: RequestServer) -> None:
     """Assert that lines of one connection are answered in their order, however they are cut."""
-    with connected(door) as connection, connection.makefile("rb") as answers:
-        both = line(door, number=1) + line(door, number=2)
+    with connected(server) as connection, connection.makefile("rb") as answers:
+        both = line(server, number=1) + line(server, number=2)
         connection.sendall(both[:20])
         connection.sendall(both[20:])
         assert [json.loads(answers.readline())["number"] for _ in range(2)] == [1, 2]
@@ -98,47 +98,47 @@ def test_each_line_has_its_answer(door: Door) -> None:
         b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
     ],
 )
-def test_without_the_token_there_is_a_refusal_and_no_more(said: bytes, door: Door, asked: Asked) -> None:
+def test_without_the_token_there_is_a_refusal_and_no_more(said: bytes, server: RequestServer, asked: Asked) -> None:
     """Assert that such a line ends the connection, also before a line that has the token, and nobody is asked."""
-    with connected(door) as connection:
-        connection.sendall(said + line(door, command="start", name="a"))
+    with connected(server) as connection:
+        connection.sendall(said + line(server, command="start", name="a"))
         assert everything(connection) in (refusal(REFUSED), b"")
     assert asked.requests == []
 
 
-def test_an_endless_line_is_cut_off(door: Door, asked: Asked) -> None:
+def test_an_endless_line_is_cut_off(server: RequestServer, asked: Asked) -> None:
     """Assert that a line has a bounded length, also of whoever has the token."""
-    with connected(door) as connection:
-        connection.sendall(line(door, text="x" * MOST_BYTES))
+    with connected(server) as connection:
+        connection.sendall(line(server, text="x" * MOST_BYTES))
         assert everything(connection) in (refusal(REFUSED), b"")
     assert asked.requests == []
 
 
 def test_who_waits_is_answered_before_the_door_closes(asked: Asked) -> None:
-    """Assert that an answer that is there when the door closes still comes, and that the thread ends."""
-    door = Door(asked, 0)
-    with connected(door) as connection:
-        connection.sendall(line(door, command="later"))
+    """Assert that an answer that is there when the server closes still comes, and that the thread ends."""
+    server = RequestServer(asked, 0)
+    with connected(server) as connection:
+        connection.sendall(line(server, command="later"))
         assert until(lambda: asked.later)
         asked.later[0].set_result({"ok": True})
-        door.close()
+        server.close()
         assert everything(connection) == b'{"ok": true}\n'
     assert not any(thread.name == "local server" for thread in threading.enumerate())
 
 
-def test_a_port_that_is_taken_is_said(door: Door, asked: Asked) -> None:
+def test_a_port_that_is_taken_is_said(server: RequestServer, asked: Asked) -> None:
     """Assert that a port of somebody else's is an error in words, and a free one is taken."""
-    with pytest.raises(InputError, match=rf"--listen-port {door.port}: cannot listen"):
-        Door(asked, door.port)
+    with pytest.raises(InputError, match=rf"--listen-port {server.port}: cannot listen"):
+        RequestServer(asked, server.port)
 
 
-def test_the_file_is_for_its_user_alone_and_goes_at_the_end(door: Door, tmp_path: Path) -> None:
+def test_the_file_is_for_its_user_alone_and_goes_at_the_end(server: RequestServer, tmp_path: Path) -> None:
     """Assert one line, mode 0600 whatever the umask, nothing beside it, and nothing after it."""
     path = tmp_path / "evetac.listen"
     before = os.umask(0)
     try:
-        with address_file(path, door):
-            assert path.read_text() == f"127.0.0.1 {door.port} {door.token}\n"
+        with address_file(path, server):
+            assert path.read_text() == f"127.0.0.1 {server.port} {server.token}\n"
             assert path.stat().st_mode & 0o7777 == 0o600
             assert list(tmp_path.iterdir()) == [path]
     finally:
@@ -146,38 +146,39 @@ def test_the_file_is_for_its_user_alone_and_goes_at_the_end(door: Door, tmp_path
     assert list(tmp_path.iterdir()) == []
 
 
-def test_another_that_listens_is_not_replaced(door: Door, asked: Asked, tmp_path: Path) -> None:
+def test_another_that_listens_is_not_replaced(server: RequestServer, asked: Asked, tmp_path: Path) -> None:
     """Assert that a second one in the same folder is refused, and the first file stays as it is."""
-    path, second = tmp_path / "evetac.listen", Door(asked, 0)
-    with address_file(path, door):
+    path, second = tmp_path / "evetac.listen", RequestServer(asked, 0)
+    with address_file(path, server):
         with pytest.raises(InputError, match="another evetac"), address_file(path, second):
             pass
-        assert path.read_text().split()[1] == str(door.port)
+        assert path.read_text().split()[1] == str(server.port)
         assert list(tmp_path.iterdir()) == [path]
     second.close()
 
 
 def test_what_a_killed_one_left_is_replaced_and_said(
-    door: Door, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    server: RequestServer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Assert that the file of a process that was killed stands in nobody's way, also if the port is the same again."""
     path = tmp_path / "evetac.listen"
     code = (
-        "import os, sys; from pathlib import Path; from evetac_cli.trials.listen.door import Door, address_file;"
-        " file = address_file(Path(sys.argv[1]), Door(print, 0)); file.__enter__(); os.kill(os.getpid(), 9)"
+        "import os, sys; from pathlib import Path;"
+        "from evetac_cli.trials.listen.request_server import RequestServer, address_file;"
+        " file = address_file(Path(sys.argv[1]), RequestServer(print, 0)); file.__enter__(); os.kill(os.getpid(), 9)"
     )
     killed = subprocess.run([sys.executable, "-c", code, str(path)], cwd=PACKAGE.parent, check=False)
     assert killed.returncode == -signal.SIGKILL
-    for left in (path.read_text(), f"127.0.0.1 {door.port} {'a' * 32}\n", f"127.0.0.1 99999 {'a' * 32}\n"):
+    for left in (path.read_text(), f"127.0.0.1 {server.port} {'a' * 32}\n", f"127.0.0.1 99999 {'a' * 32}\n"):
         path.write_text(left)
-        with address_file(path, door):
-            assert path.read_text().split()[2] == door.token
+        with address_file(path, server):
+            assert path.read_text().split()[2] == server.token
         assert "left by a run that was killed" in capsys.readouterr().err
         assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("kind", ["text", "empty", "link", "folder", "pipe"])
-def test_what_is_not_ours_stays(kind: str, door: Door, tmp_path: Path) -> None:
+def test_what_is_not_ours_stays(kind: str, server: RequestServer, tmp_path: Path) -> None:
     """Assert that a file that evetac did not make, a link, a folder and a pipe are refused, and untouched."""
     path, other = tmp_path / "evetac.listen", tmp_path / "other"
     other.write_text(f"127.0.0.1 1 {'a' * 32}\n")
@@ -190,7 +191,7 @@ def test_what_is_not_ours_stays(kind: str, door: Door, tmp_path: Path) -> None:
     }
     make[kind]()
     before = path.lstat()
-    with pytest.raises(InputError, match="not a file that evetac made"), address_file(path, door):
+    with pytest.raises(InputError, match="not a file that evetac made"), address_file(path, server):
         pass
     assert os.path.samestat(before, path.lstat())
     assert other.read_text() == f"127.0.0.1 1 {'a' * 32}\n"
