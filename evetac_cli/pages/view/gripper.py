@@ -13,7 +13,7 @@ from evetac_cli.pages.shared import BLUE, GREEN, INK, ORANGE, PINK, inner
 from evetac_cli.pages.view.event_images import read_rows
 from evetac_cli.pages.view.time_series import decimated, first_row, lane_of, rows_of, slice_times_s, timed
 from evetac_cli.pages.view.trial_files import OpenTrial
-from evetac_cli.pages.view.view_data import Lane, Panel, Series, SideView
+from evetac_cli.pages.view.view_data import Lane, Panel, Series
 from evetac_cli.store.recordings.read import Recording
 
 TOUCH_N = 0.03  # normal force that counts as contact, as in `evaluate data-rate`
@@ -124,8 +124,12 @@ def outcome_badges(trial: OpenTrial) -> list[tuple[str, str]]:
     return shown
 
 
-def side_view(trial: OpenTrial, ends: NDArray[np.int64]) -> SideView | None:
-    """Return the grasp from the side at the end of each image; None without full truth, or for sideways grasps."""
+def side_view(trial: OpenTrial, ends: NDArray[np.int64]) -> dict[str, Any] | None:
+    """Return the grasp from the side at the end of each image; None without full truth, or for sideways grasps.
+
+    object: its width between the fingers and its height in mm; arrays (frames,): its height above the table and how far
+    it has sunk in the gripper since the start, in mm, and the force of one finger in N, at most `most_n`.
+    """
     recording, parameters, scale = trial.recording, trial.recording_parameters, _mm_per_px(trial)
     if recording is None or scale is None or not recording.has("truth/table_gap_mm"):
         return None
@@ -139,10 +143,10 @@ def side_view(trial: OpenTrial, ends: NDArray[np.int64]) -> SideView | None:
         read_rows(recording, f"truth/{name}", ends, np.nan)
         for name in ("table_gap_mm", "normal_force_n", "object_xy_px")
     )
-    return SideView(
-        (float(width), float(height)),
-        max(float(np.nanmax(forces, initial=0.0)), 1e-9),
-        heights.astype(np.float32),
-        (moved[:, 0] * scale).astype(np.float32),
-        forces.astype(np.float32),
-    )
+    return {
+        "object": [float(width), float(height)],
+        "most_n": max(float(np.nanmax(forces, initial=0.0)), 1e-9),
+        "height": heights,
+        "sunk": moved[:, 0] * scale,
+        "force": forces,
+    }

@@ -16,7 +16,7 @@ from evetac_cli.pages import shared
 from evetac_cli.pages.shared import NEUTRAL, UNKNOWN, inner, shown_colour
 from evetac_cli.pages.view.gripper import outcome_badges
 from evetac_cli.pages.view.trial_files import OpenTrial
-from evetac_cli.pages.view.view_data import Lane, Panel, TouchView, ViewData
+from evetac_cli.pages.view.view_data import Lane, Panel, ViewData
 from evetac_cli.resources import DATA, PACKAGE
 from evetac_cli.store.recordings.onset import LabelledOnset
 
@@ -95,33 +95,16 @@ def _data(view: ViewData) -> dict[str, Any]:
             {"shown": camera.shown, "images": [b64encode(jpeg).decode() for jpeg in camera.images]}
             for camera in view.cameras
         ],
-        "side": None
-        if view.side is None
-        else {
-            "object": list(view.side.object_mm),
-            "most_n": view.side.most_n,
-            "height": _base64(view.side.height_mm),
-            "sunk": _base64(view.side.sunk_mm),
-            "force": _base64(view.side.force_n),
-        },
-        "touch": None if view.touch is None else _touch(view.touch),
+        "side": _encoded(view.side),
+        "touch": _encoded(view.touch),
     }
 
 
-def _touch(touch: TouchView) -> dict[str, Any]:
-    """Return touch maps in the form that the page's script draws."""
-    return {
-        "x": touch.x_mm.tolist(),
-        "y": touch.y_mm.tolist(),
-        "most_kpa": touch.most_pa * 1e-3,
-        "most_shear_kpa": touch.most_shear_pa * 1e-3,
-        "pressure": _base64(touch.pressure),
-        "shear": _base64(touch.shear),
-        "patch": _base64(touch.patch),
-        "highest_kpa": _base64(touch.highest * 1e-3),
-        "shown": touch.shown.tolist(),
-        **{name: _base64(values) for name, values in touch.slices.items()},
-    }
+def _encoded(values: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Return values with their arrays as the page's script reads them; None for None."""
+    if values is None:
+        return None
+    return {name: _base64(value) if isinstance(value, np.ndarray) else value for name, value in values.items()}
 
 
 # Text -----------------------------------------------------------------------------------------------------------------

@@ -14,11 +14,13 @@ from evetac_cli.pages.shared import BLUE, GREEN, INK, ORANGE, PINK
 from evetac_cli.pages.view.event_images import read_rows
 from evetac_cli.pages.view.time_series import Read, decimated, rows_of, slice_times_s
 from evetac_cli.pages.view.trial_files import OpenTrial
-from evetac_cli.pages.view.view_data import LEVELS, SHEAR_LEVELS, Panel, TouchView, ViewData
+from evetac_cli.pages.view.view_data import Panel, ViewData
 from evetac_cli.store.files import StageFile
 
 MAP_BYTES = 2_000_000  # of maps per page; a third more as base64
 CELL_BYTES = 4  # pressure, two of shear, patch
+LEVELS, SHEAR_LEVELS = 255, 127  # of pressure, and of shear either way
+SLICES = ("centre_mm", "centre_sd_mm", "sticking_share", "slip_direction_rad")  # shown of each slice
 SHOWN_SHARE = 0.99  # of touched cells are within the scale, so that a few outliers do not fade all others
 
 
@@ -78,7 +80,12 @@ def _how_sure(touch: StageFile) -> str:
 
 
 def place_touch(view: ViewData, trial: OpenTrial) -> None:
-    """Add the map for each event image, the last before its end, and the values of the slice at its end."""
+    """Add the map for each event image, the last before its end, and the values of the slice at its end.
+
+    Pressure (maps, rows, columns) is 0 to 255 for 0 to most_kpa; shear (maps, 2, rows, columns) is 0 to 254 for
+    -most_shear_kpa to +most_shear_kpa, with 127 for 0. Values beyond are clipped. highest_kpa (maps, 4): the largest
+    pressure and its deviation, the largest shear and its deviation. shown: the map of each event image; -1: none yet.
+    """
     touch = trial.touch
     if touch is None or not touch.has("map/slice") or not len(view.frame_times):
         return
@@ -100,20 +107,18 @@ def place_touch(view: ViewData, trial: OpenTrial) -> None:
     pressure, shear, patch = (np.stack([one[name] for one in maps]) for name in ("pressure", "shear", "patch"))
     most_pa = _end_of_scale(pressure, patch)
     most_shear_pa = _end_of_scale(np.hypot(shear[:, 0], shear[:, 1]), patch)
-    slices = {name: read_rows(touch, name, ends, np.nan) for name in ("centre_mm", "centre_sd_mm")}
-    slices |= {name: read_rows(touch, name, ends, np.nan) for name in ("sticking_share", "slip_direction_rad")}
-    view.touch = TouchView(
-        x_mm=x_mm,
-        y_mm=y_mm,
-        most_pa=most_pa,
-        most_shear_pa=most_shear_pa,
-        pressure=_levels(pressure / most_pa, 0, LEVELS).astype(np.uint8),
-        shear=(_levels(shear / most_shear_pa, -SHEAR_LEVELS, SHEAR_LEVELS) + SHEAR_LEVELS).astype(np.uint8),
-        patch=patch.astype(np.uint8),
-        highest=np.array([one["highest"] for one in maps], np.float32),
-        shown=np.where(at < 0, -1, np.searchsorted(kept, at, side="right") - 1),
-        slices={name: values.astype(np.float32) for name, values in slices.items()},
-    )
+    view.touch = {
+        "x": x_mm.tolist(),
+        "y": y_mm.tolist(),
+        "most_kpa": most_pa * 1e-3,
+        "most_shear_kpa": most_shear_pa * 1e-3,
+        "pressure": _levels(pressure / most_pa, 0, LEVELS).astype(np.uint8),
+        "shear": (_levels(shear / most_shear_pa, -SHEAR_LEVELS, SHEAR_LEVELS) + SHEAR_LEVELS).astype(np.uint8),
+        "patch": patch.astype(np.uint8),
+        "highest_kpa": np.array([one["highest"] for one in maps], np.float32) * 1e-3,
+        "shown": np.where(at < 0, -1, np.searchsorted(kept, at, side="right") - 1).tolist(),
+        **{name: read_rows(touch, name, ends, np.nan) for name in SLICES},
+    }
 
 
 def _one(touch: StageFile, row: int) -> dict[str, Any]:

@@ -1,13 +1,12 @@
 """The data of a trial that view draws: series, intervals of slip, event images, dots."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.store.recordings.onset import LabelledOnset
-
-LEVELS, SHEAR_LEVELS = 255, 127  # of pressure, and of shear either way, in a TouchView
 
 
 @dataclass(frozen=True)
@@ -54,44 +53,12 @@ class Lane:
 
 
 @dataclass(frozen=True)
-class SideView:
-    """Side view of hand, fingers, object and table at the end of each image; only for simulated grasps."""
-
-    object_mm: tuple[float, float]  # width between the fingers, height
-    most_n: float
-    height_mm: NDArray[np.float32]  # (frames,) of the object above the table
-    sunk_mm: NDArray[np.float32]  # (frames,) downward motion in the gripper since the start
-    force_n: NDArray[np.float32]  # (frames,) of one finger
-
-
-@dataclass(frozen=True)
 class CameraImages:
     """Images of another camera of the trial: JPEG, and the index for each event image; -1: none yet."""
 
     name: str
     images: list[bytes]
     shown: list[int]
-
-
-@dataclass(frozen=True)
-class TouchView:
-    """Touch maps of a trial, and the values of the slice at the end of each event image.
-
-    Pressure is 0 to 255 for 0 to most_pa; shear is 0 to 254 for -most_shear_pa to +most_shear_pa, with 127 for 0.
-    Values beyond are clipped. highest: the largest pressure and its deviation, the largest shear and its deviation, in
-    Pa.
-    """
-
-    x_mm: NDArray[np.float64]  # (columns,) centres of cells from the centre of the frame
-    y_mm: NDArray[np.float64]  # (rows,)
-    most_pa: float
-    most_shear_pa: float
-    pressure: NDArray[np.uint8]  # (maps, rows, columns)
-    shear: NDArray[np.uint8]  # (maps, 2, rows, columns)
-    patch: NDArray[np.uint8]  # (maps, rows, columns)
-    highest: NDArray[np.float32]  # (maps, 4)
-    shown: NDArray[np.int64]  # (frames,) index of the map for each event image; -1: none yet
-    slices: dict[str, NDArray[np.float32]]  # (frames, ...) centre_mm, centre_sd_mm, sticking_share, slip_direction_rad
 
 
 @dataclass
@@ -119,10 +86,10 @@ class ViewData:
     dot_xy_px: NDArray[np.float32] | None = None  # (frames, dots, 2), at the end of each picture
     lost: NDArray[np.uint8] | None = None  # (frames, dots)
     true_xy_px: NDArray[np.float32] | None = None  # (frames, dots, 2), simulated
-    side: SideView | None = None  # simulated
+    side: dict[str, Any] | None = None  # see gripper.side_view
     opens_at: int = 0  # most informative frame
     cameras: list[CameraImages] = field(default_factory=list)
-    touch: TouchView | None = None
+    touch: dict[str, Any] | None = None  # see touch.place_touch
 
     @property
     def ends(self) -> NDArray[np.int64]:

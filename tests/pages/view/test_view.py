@@ -94,20 +94,21 @@ def test_each_image_has_the_map_before_its_end(trial: Path) -> None:
     maps = data.touch
     assert maps is not None
     ends = data.frame_times + data.shown_ms - 1
-    np.testing.assert_array_equal(maps.shown, np.searchsorted([50, 120, 121], ends, side="right") - 1)
-    assert maps.shown[0] == -1 and maps.shown[-1] == 2
-    np.testing.assert_array_equal(maps.slices["centre_mm"][:, 0], ends)
-    expected = np.minimum(pressure, maps.most_pa)
-    np.testing.assert_allclose(maps.pressure / 255 * maps.most_pa, expected, atol=maps.most_pa / 509)
-    within = np.clip(shear, -maps.most_shear_pa, maps.most_shear_pa)
-    shown_pa = (maps.shear - 127.0) / 127 * maps.most_shear_pa
-    np.testing.assert_allclose(shown_pa, within, atol=maps.most_shear_pa / 253)
-    np.testing.assert_array_equal(maps.patch, patch)
+    np.testing.assert_array_equal(maps["shown"], np.searchsorted([50, 120, 121], ends, side="right") - 1)
+    assert maps["shown"][0] == -1 and maps["shown"][-1] == 2
+    np.testing.assert_array_equal(maps["centre_mm"][:, 0], ends)
+    most_pa, most_shear_pa = 1e3 * maps["most_kpa"], 1e3 * maps["most_shear_kpa"]
+    np.testing.assert_allclose(maps["pressure"] / 255 * most_pa, np.minimum(pressure, most_pa), atol=most_pa / 509)
+    within = np.clip(shear, -most_shear_pa, most_shear_pa)
+    shown_pa = (maps["shear"] - 127.0) / 127 * most_shear_pa
+    np.testing.assert_allclose(shown_pa, within, atol=most_shear_pa / 253)
+    np.testing.assert_array_equal(maps["patch"], patch)
     at = np.unravel_index(pressure[1].argmax(), (4, 5))
-    np.testing.assert_allclose(maps.highest[1, :2], [pressure[1][at], pressure[1][at] / 2], rtol=1e-6)
+    highest_pa = 1e3 * maps["highest_kpa"][1, :2]
+    np.testing.assert_allclose(highest_pa, [pressure[1][at], pressure[1][at] / 2], rtol=1e-6)
     in_page = page_data_of(trial)["touch"]
-    assert in_page["most_kpa"] == pytest.approx(maps.most_pa / 1e3) and in_page["shown"] == maps.shown.tolist()
-    assert base64.b64decode(in_page["pressure"]) == maps.pressure.tobytes()
+    assert in_page["most_kpa"] == maps["most_kpa"] and in_page["shown"] == maps["shown"]
+    assert base64.b64decode(in_page["pressure"]) == maps["pressure"].tobytes()
 
 
 def test_touch_maps_stay_few(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -119,10 +120,11 @@ def test_touch_maps_stay_few(trial: Path, monkeypatch: pytest.MonkeyPatch) -> No
     write_touch(trial, changes)
     monkeypatch.setattr(touch, "MAP_BYTES", 20 * 4 * 4 * 5)
     data = shown(trial)
-    assert data.touch is not None and len(data.touch.pressure) == 20
+    assert data.touch is not None and len(data.touch["pressure"]) == 20
     assert any(note.startswith("Touch maps: one in 3 is kept") for note in data.notes)
     ends = data.frame_times + data.shown_ms - 1
-    assert (data.touch.shown * 15 <= ends).all() and (ends - data.touch.shown * 15 < 15).all()
+    begun = 15 * np.array(data.touch["shown"])
+    assert (begun <= ends).all() and (ends - begun < 15).all()
 
 
 def page_data_of(trial: Path) -> dict[str, Any]:
@@ -321,7 +323,7 @@ def test_a_grasp(tmp_path: Path) -> None:
     assert data.onsets == {"truth": None, "detector": 250}  # what it says in the light contact is no slip
     assert data.contact_times["gripped"] == GRIPPED
     assert data.side is not None
-    np.testing.assert_allclose(data.side.height_mm[[0, -1]], [60 * 4 / 299, 60.0], rtol=1e-5)
+    np.testing.assert_allclose(data.side["height"][[0, -1]], [60 * 4 / 299, 60.0], rtol=1e-5)
     view.run([path], View(), None)
     text = path.with_name("g.html").read_text()
     for words in ("grasp <b>held to the end", "moved <b>1.2 mm", "object&#x27;s material <b>paper"):
