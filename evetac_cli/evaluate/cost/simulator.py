@@ -21,9 +21,8 @@ The rows of the camera are those of camera.py.
 """
 
 import math
-import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,21 +30,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evetac_cli.arrays import Floats
+from evetac_cli.evaluate.common.gel_case import X_RANGE_M, Y_RANGE_M, GelCase, solved_slices, under_cylinder
 from evetac_cli.evaluate.common.rows import Extent, SolverSetting, collect, line, run_times
 from evetac_cli.evaluate.cost import EvaluateCost
 from evetac_cli.evaluate.cost import camera as camera_cost
 from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.sim.gel import gel
-from evetac_cli.sim.gel.adaptive import Stepper
-from evetac_cli.sim.gel.contact import gap_profile, pad_nodes, pressure
 from evetac_cli.sim.scenes.shared import GRAVITY_M_S2
-from evetac_cli.sim.scenes.true_slip import SLIP_PX, GroundTruthSlip
+from evetac_cli.sim.scenes.true_slip import SLIP_PX
 from evetac_cli.sim.setup.scene import Solver
 
-PAD_M = (20e-3, 15e-3)
-MM_PER_PX = 0.0329
 AFTER_MS = 8
-SLICE_S = 1e-3
+SLOW_S, HANG_S = 0.36, 0.08  # of the slow unloading: its duration, and that of handing over the weight
 STATIC = 0.8
 
 TRIALS = Extent(quick=3, full=8)
@@ -80,57 +76,19 @@ def summary(rows: Rows) -> Row:
     return {"rows": len(rows)}
 
 
-@dataclass(frozen=True)
-class GelTrial:
-    """A simulated trial: grid, material, object, contact, and a grip that falls evenly from `first_n` to `last_n`.
-
-    The grip begins to fall at `begin_s`; the weight is handed over evenly until `hang_s`, or hangs from the start.
-    """
-
-    columns: int = 24
-    rows: int = 18
-    material: gel.GelMaterial = gel.GelMaterial()
-    friction: gel.Friction = gel.Friction(0.8, 0.8)
-    mass_kg: float = 0.1
-    inertia_kg_m2: float = 4e-5
-    centre_m: tuple[float, float] = (0.0, 0.0)
-    radius_m: float = 0.06
-    tilt_rad: float = 0.0
-    indentation_m: float = 0.4e-3
-    first_n: float = 2.0
-    last_n: float = 0.2
-    seconds: float = 0.2
-    begin_s: float = 0.0
-    hang_s: float = 0.0
-
-    def start(self) -> gel.GelState:
-        """Return the state of the pad and the object, at rest."""
-        x, y = PAD_M
-        nodes = pad_nodes(self.columns, self.rows, (-x / 2, x / 2), (-y / 2, y / 2))
-        return gel.start(nodes, self.material, self.mass_kg, self.inertia_kg_m2, body_xy_m=self.centre_m)
-
-    def shares(self, state: gel.GelState) -> Floats:
-        """Return the share of the grip on each node, (rows, columns), with sum 1."""
-        gap = gap_profile(state.node_xy_m, "cylinder", self.radius_m, self.tilt_rad)
-        return np.asarray(pressure(self.indentation_m, gap, 1.0))
-
-    def grip_n(self, time_s: float) -> float:
-        """Return the normal force on one pad, in N, at a time in s."""
-        fallen = (time_s - self.begin_s) / (self.seconds - self.begin_s)
-        return self.first_n + (self.last_n - self.first_n) * min(max(fallen, 0.0), 1.0)
-
-    def weight_n(self, time_s: float) -> tuple[float, float, float]:
-        """Return the force and moment of gravity, along x through the centre of mass, as far as it is handed over."""
-        share = min(time_s / self.hang_s, 1.0) if self.hang_s else 1.0
-        return (share * self.mass_kg * GRAVITY_M_S2, 0.0, 0.0)
+def falling(first_n: float, last_n: float, seconds: float, begin_s: float = 0.0) -> Callable[[float], float]:
+    """Return a normal force over time that falls evenly from first_n at begin_s to last_n after so many seconds."""
+    return lambda time_s: first_n + (last_n - first_n) * min(max((time_s - begin_s) / (seconds - begin_s), 0.0), 1.0)
 
 
-def draw_trial(seed: int) -> GelTrial:
+def draw_trial(seed: int) -> GelCase:
     """Return the trial of a seed, which decides the tilt of the fingers and the distance from the object's centre."""
     rng = np.random.default_rng(seed)
     tilt_rad = rng.choice([-1, 1]) * rng.uniform(0.005, 0.015)
     centre_m = (rng.uniform(-2e-3, 2e-3), rng.choice([-1, 1]) * rng.uniform(1e-3, 2e-3))
-    return GelTrial(tilt_rad=float(tilt_rad), centre_m=(float(centre_m[0]), float(centre_m[1])))
+    shares, seconds = under_cylinder(float(tilt_rad)), 0.2
+    load = falling(2.0, 0.2, seconds)
+    return GelCase(centre_m=(float(centre_m[0]), float(centre_m[1])), load=load, shares=shares, seconds=seconds)
 
 
 class Slide(NamedTuple):
@@ -154,10 +112,16 @@ def onset_ms(slid_px: Floats) -> float:
     return float(first + (SLIP_PX - before_px) / (slid_px[first] - before_px))
 
 
-def unloadings() -> dict[str, Callable[[GelTrial], GelTrial]]:
+def unloadings() -> dict[str, Callable[[GelCase], GelCase]]:
     """Return the two ways to unload a trial, by name."""
-    slow: dict[str, Any] = {"first_n": 1.1, "last_n": 0.58, "seconds": 0.36, "begin_s": 0.1, "hang_s": 0.08}
-    return {"fast": lambda trial: trial, "slow": lambda trial: replace(trial, **slow)}
+
+    def slow(trial: GelCase) -> GelCase:
+        def handed_over(time_s: float) -> tuple[float, float, float]:
+            return (min(time_s / HANG_S, 1.0) * trial.mass_kg * GRAVITY_M_S2, 0.0, 0.0)
+
+        return replace(trial, load=falling(1.1, 0.58, SLOW_S, begin_s=0.1), force=handed_over, seconds=SLOW_S)
+
+    return {"fast": lambda trial: trial, "slow": slow}
 
 
 def frictions() -> dict[str, gel.Friction]:
@@ -173,27 +137,11 @@ def frictions() -> dict[str, gel.Friction]:
     }
 
 
-def grid(trial: GelTrial, solver: Solver) -> GelTrial:
-    """Return the trial on the nodes of a solver."""
-    columns, rows = solver.nodes(PAD_M)
-    return replace(trial, columns=columns, rows=rows)
-
-
-def solve(trial: GelTrial, solver: Solver) -> Slide:
+def solve(trial: GelCase, solver: Solver) -> Slide:
     """Solve a trial from start to end, on the nodes of the solver."""
-    trial = grid(trial, solver)
-    state, stepper = trial.start(), Stepper(solver, SLICE_S)
-    shares = trial.shares(state)
-    slip = GroundTruthSlip(state, MM_PER_PX, None)
-    samples: list[tuple[Floats, float, float]] = []
-    for slice_ in range(round(trial.seconds / SLICE_S)):
-        ends_n = (trial.grip_n(slice_ * SLICE_S), trial.grip_n((slice_ + 1) * SLICE_S))
-        weight_n = trial.weight_n((slice_ + 0.5) * SLICE_S)
-        started = time.thread_time()
-        stepper.advance(state, shares, ends_n, weight_n, trial.friction)
-        took_us = (time.thread_time() - started) * 1e6
-        slip.follow(state, shares, ends_n[1])
-        samples.append((state.pose.copy(), slip.slid_px, took_us))
+    columns, rows = solver.nodes((X_RANGE_M[1] - X_RANGE_M[0], Y_RANGE_M[1] - Y_RANGE_M[0]))
+    solved = solved_slices(replace(trial, columns=columns, rows=rows), solver)
+    samples = [(state.pose.copy(), slip.slid_px, took_us) for state, slip, took_us in solved]
     return Slide(*(np.array(column) for column in zip(*samples, strict=True)))
 
 
@@ -218,7 +166,7 @@ def mechanics_rows(seed: int, full: bool, trials: int | None = None) -> Iterator
             yield from _part_rows(part, cases, full)
 
 
-def _part_rows(part: str, cases: Sequence[GelTrial], full: bool) -> Iterator[Row]:
+def _part_rows(part: str, cases: Sequence[GelCase], full: bool) -> Iterator[Row]:
     """Yield the rows of one panel: trials of one unloading and friction."""
     finest = Solver(step_ms=REFERENCE_STEP_MS.pick(full), theta=0.51, residual=1e-8)
     in_time = [solve(trial, finest) for trial in cases]

@@ -12,6 +12,7 @@ from functools import partial
 
 import numpy as np
 
+from evetac_cli.evaluate.common.gel_case import X_RANGE_M, Y_RANGE_M
 from evetac_cli.evaluate.common.rows import Extent
 from evetac_cli.evaluate.stability.cases import (
     EVENTS,
@@ -22,15 +23,7 @@ from evetac_cli.evaluate.stability.cases import (
     case_rows,
     run_case,
 )
-from evetac_cli.evaluate.stability.gel import (
-    AREA_M2,
-    X_RANGE_M,
-    Y_RANGE_M,
-    gel_cases,
-    gel_rows,
-    onset_cases,
-    random_case,
-)
+from evetac_cli.evaluate.stability.gel import AREA_M2, gel_cases, gel_rows, onset_cases, random_case
 from evetac_cli.events import SLICE_US
 from evetac_cli.jobs import Rows
 from evetac_cli.sim import gripper
@@ -49,13 +42,12 @@ QUIET = camera.CameraModel(noise_rate_hz=0.0, hot_pixels=0)
 
 def cases(seed: int, full: bool) -> list[Callable[[], Rows]]:
     """Return every case of gel, gripper and camera; `full` uses every theta, ten times the steps, more random cases."""
-    timed_cases = [(case, 0.0) for case in gel_cases()] + onset_cases()
-    timed_cases += [(random_case(seed, number), 0.0) for number in range(RANDOM_CASES.pick(full))]
+    of_gel = [*gel_cases(), *onset_cases(), *(random_case(seed, number) for number in range(RANDOM_CASES.pick(full)))]
     runs: list[Callable[[], Rows]] = []
     for theta in THETAS.pick(full):
-        for case, slides_within_s in timed_cases:
+        for case in of_gel:
             renamed = replace(case, name=f"{case.name}, theta {theta:g}") if full else case
-            runs.append(partial(gel_rows, renamed, GEL_STEPS.pick(full), theta, slides_within_s))
+            runs.append(partial(gel_rows, renamed, GEL_STEPS.pick(full), theta))
     runs += [partial(finger_rows, case) for case in finger_cases()]
     runs += [partial(camera_rows, case, CAMERA_SLICES, seed) for case in camera_cases()]
     return runs

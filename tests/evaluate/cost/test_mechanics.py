@@ -20,10 +20,10 @@ def test_onset_by_hand() -> None:
 def test_loads_of_both_unloadings() -> None:
     """Assert the grip and weight of the two unloadings at their corners in time."""
     fast, slow = (unload(draw_trial(1)) for unload in cost.unloadings().values())
-    assert (fast.grip_n(0.0), fast.grip_n(0.1)) == pytest.approx((2.0, 1.1))
-    assert fast.weight_n(0.0)[0] == pytest.approx(0.981)
-    assert (slow.grip_n(0.1), slow.grip_n(0.2), slow.grip_n(0.36)) == pytest.approx((1.1, 0.9, 0.58))
-    assert (slow.weight_n(0.04)[0], slow.weight_n(0.3)[0]) == pytest.approx((0.4905, 0.981))
+    assert (fast.load(0.0), fast.load(0.1)) == pytest.approx((2.0, 1.1))
+    assert fast.force_at(0.0)[0] == pytest.approx(0.981)
+    assert (slow.load(0.1), slow.load(0.2), slow.load(0.36)) == pytest.approx((1.1, 0.9, 0.58))
+    assert (slow.force_at(0.04)[0], slow.force_at(0.3)[0]) == pytest.approx((0.4905, 0.981))
 
 
 def test_errors_fall_with_the_step() -> None:

@@ -12,7 +12,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import splu
 
 from evetac_cli.arrays import Floats
-from evetac_cli.evaluate.cost.simulator import GelTrial
+from evetac_cli.evaluate.common.gel_case import GelCase
 from evetac_cli.kernels.gel_layer import Squeeze, compliance, sheet_stiffness
 from evetac_cli.sim.gel import gel
 
@@ -35,15 +35,14 @@ class Motion(NamedTuple):
         return 1e6 * math.sqrt(square), 1e6 * math.sqrt(gel_square)
 
 
-def simulate(trial: GelTrial, dt_s: float, theta: float, *, tolerance: float = 1e-6) -> Motion:
+def simulate(trial: GelCase, dt_s: float, theta: float, *, tolerance: float = 1e-6) -> Motion:
     """Simulate a trial with `gel.step`; dt_s divides 10 ms."""
-    state = trial.start()
-    shares = trial.shares(state)
+    state, shares = trial.start()
     samples = []
     for k in range(round(trial.seconds / dt_s)):
         at_s = (k + theta) * dt_s
-        nodal_n = trial.grip_n(at_s) * shares
-        gel.step(state, nodal_n, trial.weight_n(at_s), trial.friction, dt_s, theta=theta, tolerance=tolerance)
+        nodal_n = trial.load(at_s) * shares
+        gel.step(state, nodal_n, trial.force_at(at_s), trial.friction, dt_s, theta=theta, tolerance=tolerance)
         if (k + 1) % round(SAMPLE_S / dt_s) == 0:
             samples.append((state.pose.copy(), state.displacement_m.reshape(-1, 2).copy()))
     return Motion(*(np.array(column) for column in zip(*samples, strict=True)))
@@ -133,15 +132,14 @@ def _exact_answers(state: gel.GelState) -> tuple[Floats, Floats]:
 
 
 def simulate_dense(
-    trial: GelTrial, order: int, dt_s: float, theta: float, *, goes_on: bool = False, tolerance: float = 1e-6
+    trial: GelCase, order: int, dt_s: float, theta: float, *, goes_on: bool = False, tolerance: float = 1e-6
 ) -> Motion:
     """Simulate a trial with the time steps of `gel.step` on a `dense_layer`, its balance found by another method.
 
     By alternating directions: a linear system of all nodes, whose matrix is inverted once; then the friction of each
     node; then the force that makes both agree. The trial's material must be coupled (order 0 drops it here).
     """
-    state = trial.start()
-    shares = trial.shares(state)
+    state, shares = trial.start()
     stiffness, squeezes = dense_layer(state, order, goes_on=goes_on)
     squeeze = squeezes @ shares.ravel()
     viscous_s, share, arm_s = (state.constant(name) for name in ("viscous_time", "maxwell_share", "maxwell_time"))
@@ -158,11 +156,11 @@ def simulate_dense(
     moved, moving, lagging, slip, price = np.zeros((5, 2 * count))
     samples = []
     for k in range(round(trial.seconds / dt_s)):
-        grip_n = trial.grip_n((k + theta) * dt_s)
+        grip_n = trial.load((k + theta) * dt_s)
         bound = mu * grip_n * shares.ravel() / penalty
         right = state.constant("node_mass") / h * moving - stiffness @ moved + grip_n * squeeze
         right -= math.exp(-h / arm_s) * lagging
-        body_right = weight * state.twist + np.array(trial.weight_n((k + theta) * dt_s)) / state.pads
+        body_right = weight * state.twist + np.array(trial.force_at((k + theta) * dt_s)) / state.pads
         arm = (state.node_xy_m - state.pose[:2]).reshape(-1, 2).T
         ways = np.zeros((3, 2, count))  # motion of the nodes with the object
         ways[0, 0] = ways[1, 1] = 1.0

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evetac_cli.evaluate.cost.simulator import draw_trial
+from evetac_cli.evaluate.cost.simulator import draw_trial, falling
 from evetac_cli.kernels.gel_layer import SPRING, compliance
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.contact import pad_nodes
@@ -14,9 +14,9 @@ from evetac_cli.sim.gel.sheet import SheetStencil, pull_sheet, relax_sheet
 from tests.sim.gel.dense_layer import dense_layer, simulate, simulate_dense
 
 COARSE = replace(draw_trial(0), columns=12, rows=9)
-SHORT = replace(COARSE, seconds=0.05)
+SHORT = replace(COARSE, load=falling(2.0, 0.2, 0.05), seconds=0.05)
 # Held so fast that nothing slips: the motion is smooth.
-STICK = replace(SHORT, first_n=50.0, last_n=50.0, friction=gel.Friction(10, 10))
+STICK = replace(SHORT, load=lambda _: 50.0, friction=gel.Friction(10, 10))
 
 
 def slope(steps_us, errors):
@@ -50,8 +50,8 @@ def pushed(dt_s, theta):
     The push begins with its first five derivatives at zero, so that nothing rings which a step of 2 ms cannot follow;
     nor does the grip squeeze the gel aside, as it is there from the first step.
     """
-    state = replace(COARSE, material=replace(COARSE.material, squeezes=False)).start()
-    nodal_n = 50.0 * COARSE.shares(state)
+    state, shares = replace(COARSE, material=replace(COARSE.material, squeezes=False)).start()
+    nodal_n = 50.0 * shares
     rows = []
     for k in range(round(0.2 / dt_s)):
         push_n = 0.981 * math.sin(math.pi * (k + theta) * dt_s / 0.2) ** 6
@@ -124,7 +124,7 @@ def test_the_exact_layer_answers_waves(wavelength_m):
 
 def test_dense_layers_are_symmetric():
     """Assert that layers are symmetric, resist an even displacement by a G/H or, going on, more, and others by more."""
-    state = COARSE.start()
+    state, _ = COARSE.start()
     for order, goes_on in ((0, False), (1, False), (1, True), (2, True)):
         layer = dense_layer(state, order, goes_on=goes_on)
         np.testing.assert_allclose(layer.stiffness, layer.stiffness.T, atol=1e-9 * layer.stiffness.max())
@@ -137,7 +137,7 @@ def test_dense_layers_are_symmetric():
 
 def test_the_dense_sheet_is_that_of_the_gel():
     """Assert that a displacement stores the energy that order 1 says, and that pressure squeezes as in the gel."""
-    state = COARSE.start()
+    state, normal = COARSE.start()
     layer = dense_layer(state, 1)
     rng = np.random.default_rng(0)
     state.displacement_m[:] = rng.normal(0, 1e-5, state.displacement_m.shape)
@@ -148,7 +148,6 @@ def test_the_dense_sheet_is_that_of_the_gel():
         relax_sheet(state.sheet_m, source, stretch, state.pad.sheet_rule, after)
     moved = np.moveaxis(state.displacement_m, 2, 0).ravel()
     assert gel.energy(state) == pytest.approx(0.5 * state.pads * moved @ layer.stiffness @ moved, rel=1e-9)
-    normal = COARSE.shares(state)
     squeezed = np.moveaxis(state.squeezed(normal), 2, 0).ravel()
     np.testing.assert_allclose(layer.squeeze @ normal.ravel(), squeezed, atol=1e-9 * squeezed.max())
 

@@ -72,10 +72,9 @@ def let_go(
     """Simulate the trial of a seed; the object starts with a velocity."""
     friction = replace(friction, memory_m=plan.memory_times * friction.memory_m)
     trial = replace(draw_trial(seed), columns=nodes[0], rows=nodes[1])
-    state = trial.start()
+    state, shares = trial.start()
     state.inertia *= plan.times
     state.twist[0] = kick_m_s
-    shares = trial.shares(state)
     stepper = Stepper(solver)
     squeeze = state.squeezed(shares)
     slid, since, onset_s, now_s, heat_j, work_j = 0.0, 1.0, math.nan, 0.0, 0.0, 0.0
