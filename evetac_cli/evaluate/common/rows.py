@@ -7,7 +7,8 @@ resamples the same few values. Shares of trials have their own intervals, becaus
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from statistics import NormalDist
@@ -33,6 +34,7 @@ REAL_TIME_US = 1000.0  # run time per simulated millisecond at real-time speed
 UNITS = ("um", "us", "px", "ms", "share")
 UM_PER_PX = 32.9  # of the sensor `evetac`
 CONFIDENCE = 0.95
+WARM_UP, FEWEST = 20, 30  # untimed calls, and least number of timed ones
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,19 @@ def run_times(times_us: NDArray[np.float64], name: str = "time") -> Row:
     }
 
 
+def timed_us(act: Callable[[], Any], repeats: int, longest_s: float = math.inf) -> Floats:
+    """Return run times of `act` in us after some untimed calls; fewer, but at least FEWEST, if they take too long."""
+    for _ in range(WARM_UP):
+        act()
+    took_us: list[float] = []
+    started = time.perf_counter()
+    while len(took_us) < repeats and (len(took_us) < FEWEST or time.perf_counter() - started < longest_s):
+        begin = time.perf_counter()
+        act()
+        took_us.append((time.perf_counter() - begin) * 1e6)
+    return np.array(took_us)
+
+
 @dataclass(frozen=True)
 class SolverSetting:
     """One solver setting: its line in the plot, its value on that line, and the scene's table [solver]."""
@@ -157,7 +172,7 @@ def draw(figure: Any, rows: Rows, errors: Sequence[str], times: Mapping[str, str
         picture.legend(subfigure, panels)
 
 
-def draw_panel(axes: Any, rows: Rows, error: str, time: str = "time_us_median") -> None:
+def draw_panel(axes: Any, rows: Rows, error: str, time_us: str = "time_us_median") -> None:
     """Draw one kind of error; an error of 0 has no position on a logarithmic axis and is left out."""
     lines: dict[str, Rows] = {}
     for row in rows:
@@ -171,7 +186,10 @@ def draw_panel(axes: Any, rows: Rows, error: str, time: str = "time_us_median") 
             knobs = [row["setting"].rpartition(", ")[2] for row in members]
             label = line if knobs == [line] else f"{line}, {knobs[0]} to {knobs[-1]}"
             axes.plot(
-                [row[time] for row in points], [row[error] for row in points], label=label, **picture.series(number)
+                [row[time_us] for row in points],
+                [row[error] for row in points],
+                label=label,
+                **picture.series(number),
             )
     axes.axvline(REAL_TIME_US, color="0.3", linewidth=1, linestyle="--", label="real time")
     first, *rest = error.removeprefix("error_").split("_")
@@ -185,12 +203,16 @@ def draw_panel(axes: Any, rows: Rows, error: str, time: str = "time_us_median") 
 
 
 class ConfidenceInterval(NamedTuple):
-    """Mean of paired differences or share, the ends of its interval, and the number of trials; NaN if too few."""
+    """Mean of paired differences or share, the ends of its interval, and the number of trials; None if too few."""
 
-    mean: float
-    low: float
-    high: float
+    mean: float | None
+    low: float | None
+    high: float | None
     trials: int
+
+    def columns(self, name: str, unit: str = "") -> Row:
+        """Return the columns `name`, `interval_low<unit>` and `interval_high<unit>`."""
+        return {name: self.mean, f"interval_low{unit}": self.low, f"interval_high{unit}": self.high}
 
 
 def difference(ours: Floats, theirs: Floats, resolution: float = 0.0) -> ConfidenceInterval:
@@ -203,11 +225,9 @@ def difference(ours: Floats, theirs: Floats, resolution: float = 0.0) -> Confide
     apart = ours - theirs
     apart = apart[np.isfinite(apart)]
     count = len(apart)
-    if count == 0:
-        return ConfidenceInterval(math.nan, math.nan, math.nan, 0)
+    if count < 2:
+        return ConfidenceInterval(mean(apart), None, None, count)
     middle = float(apart.mean())
-    if count == 1:
-        return ConfidenceInterval(middle, math.nan, math.nan, 1)
     spread = max(float(apart.std(ddof=1)), resolution / math.sqrt(6.0))
     from scipy import stats  # takes half a second to load
 
@@ -224,14 +244,9 @@ def share_difference(ours: Flags, theirs: Flags) -> ConfidenceInterval:
     """
     count = len(ours)
     if count == 0:
-        return ConfidenceInterval(math.nan, math.nan, math.nan, 0)
+        return ConfidenceInterval(None, None, None, 0)
     gained, lost = int(np.count_nonzero(ours & ~theirs)), int(np.count_nonzero(theirs & ~ours))
     middle = (gained - lost) / (count + 2)
     z = NormalDist().inv_cdf(0.5 + CONFIDENCE / 2)
     half = z * math.sqrt(gained + lost + 1 - (gained - lost) ** 2 / (count + 2)) / (count + 2)
     return ConfidenceInterval((gained - lost) / count, max(middle - half, -1.0), min(middle + half, 1.0), count)
-
-
-def finite_or_none(value: float) -> float | None:
-    """Return the value for a table: None instead of NaN."""
-    return value if math.isfinite(value) else None

@@ -31,7 +31,7 @@ class CostPart(NamedTuple):
     title: str
     errors: tuple[str, ...]
     measure: Callable[[EvaluateCost, Sequence[Path], Progress], Rows]
-    summary: Callable[[Rows], dict[str, Any]]
+    summary: Callable[[Rows], dict[str, Any]] = lambda rows: {"rows": len(rows)}
     draw: Callable[[Any, Rows, Sequence[str]], None] | None = draw
     size_in: Callable[[Rows], tuple[float, float]] = size_in
     takes_trials: bool = True
@@ -43,7 +43,6 @@ PARTS: dict[str, CostPart] = {
         "Simulated gel and camera: error against run time",
         simulator_cost.ERRORS,
         simulator_cost.measure,
-        simulator_cost.summary,
     ),
     "pipeline": CostPart(
         "Settings of a recording: error at the end of the chain against its run time, mean over trials",
@@ -57,7 +56,6 @@ PARTS: dict[str, CostPart] = {
         "Methods of labelling: error against run time",
         ("error_ms_onset", "error_ms_reference"),
         labels.measure,
-        labels.summary,
     ),
     "track": CostPart(
         "Dot tracker: error against run time",

@@ -13,9 +13,9 @@ true slip instead of the network. No detector can know more about the present, t
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from evetac_cli.commands.grasp import Grasp
 from evetac_cli.devices import Rig
 from evetac_cli.devices.simulated import rig
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.common.rows import Extent, collect, difference, finite_or_none, mean, run_times
+from evetac_cli.evaluate.common.rows import Extent, collect, difference, mean, run_times
 from evetac_cli.evaluate.cost import EvaluateCost
 from evetac_cli.events import SLICES_PER_S, Events
 from evetac_cli.jobs import Progress, Row, Rows
@@ -112,7 +112,7 @@ def ground_truth_detector(detector: SliceDetector, devices: Rig) -> SliceDetecto
 
 @dataclass(frozen=True)
 class ShortGrasp:
-    """A grasp to simulate: the object, the controller and its timing."""
+    """A grasp to simulate: the object, the controller and its timing, and the detector."""
 
     object: int
     controller: str
@@ -121,6 +121,7 @@ class ShortGrasp:
     balance_s: float = 4.0
     latency_ms: int = 0
     control_hz: float = 500.0
+    model: Path = resources.MODEL
 
 
 @dataclass(frozen=True)
@@ -135,14 +136,13 @@ class GraspResult:
 def run_short_grasp(
     short: ShortGrasp,
     seed: int,
-    model: Path | None = None,
     change_plan: Callable[[Plan], Plan] = lambda plan: plan,
     wrap_detector: Callable[[SliceDetector, Rig], SliceDetector] = lambda detector, devices: detector,
 ) -> GraspResult:
     """Simulate one short grasp.
 
-    model: detector, default the pretrained one; `change_plan` modifies the default plan; `wrap_detector` inserts a
-    wrapper between the detector and the controller. Raises ValueError if the plan cannot be simulated.
+    `change_plan` modifies the default plan; `wrap_detector` inserts a wrapper between the detector and the controller.
+    Raises ValueError if the plan cannot be simulated.
     """
     plan = change_plan(first_plan("lift", str(short.object)))
     touch_ms = round(SLICES_PER_S * plan.scene.time.touch_s)
@@ -157,7 +157,7 @@ def run_short_grasp(
     control = Control(grip_control.make_law(short.controller, short.gain), short.control_hz)
     buffer = TrialBuffer()
     try:
-        with StageFile(model or resources.MODEL, "model") as file:
+        with StageFile(short.model, "model") as file:
             constants, threshold = presets.PRESETS[Grasp.tracker], chosen_threshold(file)
             opened = open_detector(file, devices.camera.sensor, constants, threshold)
             detector = TimedDetector(wrap_detector(opened, devices))
@@ -182,15 +182,12 @@ RATES_HZ = Extent[tuple[float, ...]](quick=(50.0, 100.0, 1000.0), full=(50.0, 10
 BALANCE_S = 8.0
 
 
-@dataclass(frozen=True)
-class GraspSetting:
-    """Detector and controller timing of a setting."""
+class GraspSetting(NamedTuple):
+    """A setting: what differs in its grasps, and whether a detector that knows the truth decides."""
 
     name: str
-    latency_ms: int = 0
-    control_hz: float = 500.0
+    changes: dict[str, Any]
     truth: bool = False
-    model: Path | None = None
 
 
 def inputs(files: list[Path], model: Path | None) -> tuple[Path, ...]:
@@ -215,13 +212,12 @@ def summary(rows: Rows) -> dict[str, Any]:
 
 def settings(full: bool, models: Sequence[Path]) -> list[GraspSetting]:
     """Return the default setting and all that differ from it."""
-    usual = GraspSetting("500 Hz, no latency")
     return [
-        usual,
-        *(replace(usual, name=f"latency {ms} ms", latency_ms=ms) for ms in LATENCIES_MS.pick(full)),
-        *(replace(usual, name=f"control at {hz:g} Hz", control_hz=hz) for hz in RATES_HZ.pick(full)),
-        replace(usual, name="detector truth", truth=True),
-        *(replace(usual, name=f"detector {path.name.partition('.')[0]}", model=path) for path in models),
+        GraspSetting("500 Hz, no latency", {}),
+        *(GraspSetting(f"latency {ms} ms", {"latency_ms": ms}) for ms in LATENCIES_MS.pick(full)),
+        *(GraspSetting(f"control at {hz:g} Hz", {"control_hz": hz}) for hz in RATES_HZ.pick(full)),
+        GraspSetting("detector truth", {}, truth=True),
+        *(GraspSetting(f"detector {path.name.partition('.')[0]}", {"model": path}) for path in models),
     ]
 
 
@@ -229,23 +225,16 @@ def _rows(settings: Sequence[GraspSetting], params: EvaluateCost) -> Iterator[Ro
     for controller in CONTROLLERS.pick(params.full):
         usual: list[GraspResult] = []
         for setting in settings:
-            short = ShortGrasp(
-                0, controller, balance_s=BALANCE_S, latency_ms=setting.latency_ms, control_hz=setting.control_hz
-            )
-            wrap_detector = ground_truth_detector if setting.truth else _unchanged
+            wrap: dict[str, Any] = {"wrap_detector": ground_truth_detector} if setting.truth else {}
             results = [
                 run_short_grasp(
-                    replace(short, object=number), params.seed + trial, setting.model, wrap_detector=wrap_detector
+                    ShortGrasp(number, controller, balance_s=BALANCE_S, **setting.changes), params.seed + trial, **wrap
                 )
                 for number in OBJECTS.pick(params.full)
                 for trial in range(params.trials or TRIALS.pick(params.full))
             ]
             usual = usual or results
             yield {"setting": f"{controller}, {setting.name}", **_figures(results, usual)}
-
-
-def _unchanged(detector: SliceDetector, devices: Rig) -> SliceDetector:
-    return detector
 
 
 def _figures(results: Sequence[GraspResult], usual: Sequence[GraspResult]) -> Row:
@@ -256,9 +245,7 @@ def _figures(results: Sequence[GraspResult], usual: Sequence[GraspResult]) -> Ro
         "trials": len(results),
         "error_share_lost": 1 - len(held_figures) / len(results),
         "error_mm_moved": mean(figures["moved_mm"] for figures in held_figures),
-        "more_mm_moved": finite_or_none(apart.mean),
-        "interval_low_mm": finite_or_none(apart.low),
-        "interval_high_mm": finite_or_none(apart.high),
+        **apart.columns("more_mm_moved", "_mm"),
         "trials_compared": apart.trials,
         "force_n": mean(figures["force_end_n"] for figures in held_figures),
         **run_times(np.concatenate([result.detector_us for result in results])),

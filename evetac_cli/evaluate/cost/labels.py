@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -19,7 +20,7 @@ import numpy as np
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.commands.record import Record
-from evetac_cli.evaluate.common.rows import Extent, collect, difference, finite_or_none, run_times
+from evetac_cli.evaluate.common.rows import Extent, collect, difference, run_times
 from evetac_cli.evaluate.cost import EvaluateCost
 from evetac_cli.jobs import Progress, Row, Rows
 from evetac_cli.kernels.labelling import flow
@@ -56,11 +57,6 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
     return rows
 
 
-def summary(rows: Rows) -> dict[str, Any]:
-    """Return the number of settings."""
-    return {"rows": len(rows)}
-
-
 def methods() -> list[tuple[str, Method]]:
     """Return the settings to compare; the first is the reference."""
     default = Label()
@@ -72,7 +68,7 @@ def methods() -> list[tuple[str, Method]]:
     ]
     return [
         ("farneback of both regions, every slice", _every_slice),
-        *((setting, _stage(params)) for setting, params in variants),
+        *((setting, partial(_whole, params)) for setting, params in variants),
     ]
 
 
@@ -124,9 +120,7 @@ def _row(setting: str, onset: Any, true: Any, reference: Any, took_us: Any) -> R
         "trials": len(onset),
         "error_ms_onset": float(np.median(np.abs(onset - true)[has_onset])) if has_onset.any() else None,
         "error_ms_reference": float(np.abs(onset - reference)[both].max()) if both.any() else None,
-        "more_ms_onset": finite_or_none(apart.mean),
-        "interval_low_ms": finite_or_none(apart.low),
-        "interval_high_ms": finite_or_none(apart.high),
+        **apart.columns("more_ms_onset", "_ms"),
         "onset_share": float(has_onset.mean()) if len(onset) else None,
         **run_times(took_us),
     }
@@ -163,13 +157,8 @@ def _every_slice(recording: Recording) -> tuple[int, float]:
     return onset, (time.perf_counter() - begin) * US / max(labels.flow_pairs, 1)
 
 
-def _stage(params: Label) -> Method:
-    """Return the method of the stage `label` with these parameters."""
-    return lambda recording: _time(recording, lambda: label_methods.compute(recording, params))
-
-
-def _time(recording: Recording, run: Callable[[], flow.Labels]) -> tuple[int, float]:
-    """Return the onset of labels of a whole recording, and their run time per recorded millisecond in us."""
+def _whole(params: Label, recording: Recording) -> tuple[int, float]:
+    """Return the onset by the stage `label`, and its run time per recorded millisecond in us."""
     begin = time.perf_counter()
-    onset = run().onset
+    onset = label_methods.compute(recording, params).onset
     return onset, (time.perf_counter() - begin) * US / len(recording)

@@ -13,8 +13,8 @@ are timed once, so that no setting wins by clock noise.
 """
 
 import json
-import time
 from collections.abc import Callable, Iterator, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate.common import picture
-from evetac_cli.evaluate.common.rows import collect, run_times
+from evetac_cli.evaluate.common.rows import collect, run_times, timed_us
 from evetac_cli.evaluate.cost import EvaluateCost
 from evetac_cli.evaluate.cost.tracker import DOTS_PX, rim_events
 from evetac_cli.evaluate.slip import PAPER
@@ -40,10 +40,7 @@ from evetac_cli.store.files import StageFile
 TRACKER = presets.PRESETS[Grasp().tracker]
 EVENTS = 500  # per slice in a step
 DISTINCT = 20  # slices timed in turn
-REPEATS = 3000  # timed inferences and steps; fewer if they would take longer than
-LONGEST_S = 2.0
-FEWEST = 30
-WARM_UP = 20  # untimed runs before
+REPEATS, LONGEST_S = 3000, 2.0  # timed inferences and steps; fewer if they would take longer
 FIGURES = {"timing": "slip_correct", "f1": "f1"}  # errors of a setting, and their columns in `evaluate slip`
 OF_REPORT = ("model", "preset", "seeds", "trajectories", "folds", "true_slip_share", "slip_correct", "f1")
 GRID = (7, 8)  # rows and columns of dots of the untrained networks
@@ -147,7 +144,8 @@ def _rows(candidates: Sequence[Candidate], seed: int) -> Iterator[Row]:
     for candidate in candidates:
         if candidate.build not in times:
             rng = np.random.default_rng(seed)
-            inference_us, step_us = timed(_inference(candidate, rng)), timed(_grasp_step(candidate, rng))
+            acts = _inference(candidate, rng), _grasp_step(candidate, rng)
+            inference_us, step_us = (timed_us(act, REPEATS, LONGEST_S) for act in acts)
             times[candidate.build] = run_times(inference_us) | run_times(step_us, "step")
         paper_ms = PAPER.value("inference", candidate.detector.architecture.name)
         yield {
@@ -182,13 +180,11 @@ def _grasp_step(candidate: Candidate, rng: np.random.Generator) -> Callable[[], 
     rest = whole[:rows, :columns].reshape(-1, 2)
     window = None if columns == whole.shape[1] else (GEL_PX[0], 0, 640, 480)
     live = LiveDetector(candidate.detector, tracker.start(rest, TRACKER), window)
-    slices = [_rims(rng, float(rest[:, 0].max()) + 20.0) for _ in range(DISTINCT)]
-    taken = 0
+    right_px = float(rest[:, 0].max()) + 20.0
+    slices = cycle([_rims(rng, right_px) for _ in range(DISTINCT)])
 
     def step() -> None:
-        nonlocal taken
-        live.step(*slices[taken % DISTINCT])
-        taken += 1
+        live.step(*next(slices))
 
     for _ in range(candidate.detector.architecture.history):
         step()
@@ -200,19 +196,6 @@ def _rims(rng: np.random.Generator, right_px: float) -> tuple[NDArray[Any], NDAr
     x, y, p = rim_events(rng, 4 * EVENTS)
     left = np.flatnonzero(x < right_px)[:EVENTS]
     return x[left], y[left], p[left]
-
-
-def timed(act: Callable[[], Any], repeats: int = REPEATS, longest_s: float = LONGEST_S) -> NDArray[np.float64]:
-    """Return run times in us; fewer repeats, but at least FEWEST, if they would take longer than longest_s."""
-    for _ in range(WARM_UP):
-        act()
-    took_us: list[float] = []
-    started = time.perf_counter()
-    while len(took_us) < repeats and (len(took_us) < FEWEST or time.perf_counter() - started < longest_s):
-        begin = time.perf_counter()
-        act()
-        took_us.append((time.perf_counter() - begin) * 1e6)
-    return np.array(took_us)
 
 
 def front(rows: Rows, error: str) -> list[bool]:

@@ -34,18 +34,18 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from evetac_cli import resources
-from evetac_cli.arrays import Flags, Floats
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.record import Record
 from evetac_cli.commands.track import Track
 from evetac_cli.evaluate.common.rows import (
+    ConfidenceInterval,
     Extent,
     SolverSetting,
     difference,
     draw,
-    finite_or_none,
     line,
     mean,
     quantile,
@@ -158,38 +158,19 @@ class Lifted(NamedTuple):
     grasp_us: float
 
 
-class Measured:
-    """The errors and run times of one setting, an entry per trial."""
-
-    def __init__(self, setting: SolverSetting) -> None:
-        self.setting = setting
-        self.errors: dict[str, list[float]] = {name: [] for name in ERRORS}
-        self.detection_moved_ms: list[float] = []
-        self.chain_us: list[float] = []
-        self.record_us: list[float] = []
-        self.grasp_us: list[float] = []
-
-    def add(
-        self,
-        results: tuple[Chain, Lifted],
-        slip_errors: dict[str, float],
-        reference: tuple[Chain, Lifted],
-    ) -> None:
-        """Append the results of a trial, compared with those of the reference."""
-        chain, lifted = results
-        both_held = lifted.held and reference[1].held
-        moved = abs(lifted.moved_mm - reference[1].moved_mm) if both_held else float("nan")
-        errors = {**slip_errors, "error_share_lost": float(not lifted.held), "error_mm_moved": moved}
-        for name, value in errors.items():
-            self.errors[name].append(value)
-        self.detection_moved_ms.append(detection_moved_ms(chain, reference[0]))
-        self.chain_us.append(chain.chain_us)
-        self.record_us.append(chain.record_us)
-        self.grasp_us.append(lifted.grasp_us)
-
-    def of(self, name: str) -> Floats:
-        """Return an error over the trials."""
-        return np.array(self.errors[name])
+def compared(results: tuple[Chain, Lifted], reference: tuple[Chain, Lifted], force: forces.Regression) -> Row:
+    """Return the errors and run times of a trial with a setting, compared with those of the reference."""
+    (chain, lifted), (true_chain, true_lifted) = results, reference
+    both_held = lifted.held and true_lifted.held
+    return {
+        **slip_errors(chain, true_chain, force),
+        "error_share_lost": float(not lifted.held),
+        "error_mm_moved": abs(lifted.moved_mm - true_lifted.moved_mm) if both_held else float("nan"),
+        "detection_moved_ms": detection_moved_ms(chain, true_chain),
+        "chain_us": chain.chain_us,
+        "record_us": chain.record_us,
+        "grasp_us": lifted.grasp_us,
+    }
 
 
 def trials(count: int, seed: int) -> list[ChainTrial]:
@@ -201,7 +182,7 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
     """Return a row per setting including the reference, and per paired difference from the defaults."""
     settings = [FINEST if params.full else REFERENCE, DEFAULTS, *CHOICES.pick(params.full)]
     tried = trials(params.trials or TRIALS.pick(params.full), params.seed)
-    measured = [Measured(setting) for setting in settings]
+    measured: list[tuple[SolverSetting, Rows]] = [(setting, []) for setting in settings]
     done, total = 0, len(CALIBRATION) + len(settings) * len(tried)
     calibration = []
     for trial in CALIBRATION:
@@ -212,63 +193,49 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
     force = fit_force(calibration)
     for trial in tried:
         reference: tuple[Chain, Lifted] | None = None
-        for entry in measured:
+        for setting, rows in measured:
             with TemporaryDirectory() as folder:  # files of all settings have the same names
-                results = run_chain(trial, entry.setting, Path(folder)), run_grasp(trial, entry.setting, Path(folder))
+                results = run_chain(trial, setting, Path(folder)), run_grasp(trial, setting, Path(folder))
             reference = reference or results
-            entry.add(results, slip_errors(results[0], reference[0], force), reference)
+            rows.append(compared(results, reference, force))
             done += 1
             progress(done, total)
     return tables(measured)
 
 
-def tables(measured: Sequence[Measured]) -> Rows:
-    """Return the two tables; `measured` begins with the reference and the defaults."""
-    reference, defaults, *_ = measured
-    rows = [_row(entry, is_reference=entry is reference) for entry in measured]
+def tables(measured: Sequence[tuple[SolverSetting, Rows]]) -> Rows:
+    """Return the two tables from the rows of each setting's trials; the first are the reference and the defaults."""
+    _, (_, defaults), *others = measured
+    rows = [_row(setting, trials, is_reference=not number) for number, (setting, trials) in enumerate(measured)]
     for name in ERRORS:
-        for entry in measured[2:]:
-            shares = _shares(name, entry.of(name), defaults.of(name))
-            apart = difference(entry.of(name), defaults.of(name), _resolution(name))
-            apart = share_difference(*shares) if shares else apart
-            rows.append(
-                {
-                    "error": name.removeprefix("error_"),
-                    "setting": entry.setting.name,
-                    "more_than_defaults": finite_or_none(apart.mean),
-                    "interval_low": finite_or_none(apart.low),
-                    "interval_high": finite_or_none(apart.high),
-                    "trials": apart.trials,
-                }
-            )
+        for setting, trials in others:
+            apart = _more(name, *(np.array([trial[name] for trial in some]) for some in (trials, defaults)))
+            error = {"error": name.removeprefix("error_"), "setting": setting.name}
+            rows.append({**error, **apart.columns("more_than_defaults"), "trials": apart.trials})
     return rows
 
 
-def _shares(name: str, ours: Floats, theirs: Floats) -> tuple[Flags, Flags] | None:
-    """Return the trials in which an error occurs, ours and theirs, if both are known; None unless it is a share."""
+def _more(name: str, ours: Floats, theirs: Floats) -> ConfidenceInterval:
+    """Return the paired difference of an error; the shares are of the trials in which both are known."""
     if not name.startswith("error_share"):
-        return None
+        return difference(ours, theirs, SLICE_MS if name.startswith("error_ms") else 0.0)
     both = np.isfinite(ours) & np.isfinite(theirs)
-    return ours[both] > 0.0, theirs[both] > 0.0
+    return share_difference(ours[both] > 0.0, theirs[both] > 0.0)
 
 
-def _resolution(name: str) -> float:
-    return SLICE_MS if name.startswith("error_ms") else 0.0
-
-
-def _row(entry: Measured, *, is_reference: bool) -> Row:
+def _row(setting: SolverSetting, trials: Rows, *, is_reference: bool) -> Row:
     """Return the row of a setting; a reference has no errors against itself, only those of the methods behind it."""
     compared_with_itself = ("error_ms_gross_slip", "error_share_detection", "error_mm_moved") if is_reference else ()
-    errors = {name: None if name in compared_with_itself else mean(entry.of(name)) for name in ERRORS}
+    columns = {name: [trial[name] for trial in trials] for name in trials[0]}
     return {
-        "setting": entry.setting.name,
-        "flags": entry.setting.flags or "none",
-        "trials": len(entry.chain_us),
-        **errors,
-        "detection_moved_ms_median": None if is_reference else quantile(entry.detection_moved_ms),
-        **run_times(np.array(entry.chain_us)),
-        "record_us_median": float(np.median(entry.record_us)),
-        "grasp_us_median": float(np.median(entry.grasp_us)),
+        "setting": setting.name,
+        "flags": setting.flags or "none",
+        "trials": len(trials),
+        **{name: None if name in compared_with_itself else mean(columns[name]) for name in ERRORS},
+        "detection_moved_ms_median": None if is_reference else quantile(columns["detection_moved_ms"]),
+        **run_times(np.array(columns["chain_us"])),
+        "record_us_median": float(np.median(columns["record_us"])),
+        "grasp_us_median": float(np.median(columns["grasp_us"])),
     }
 
 

@@ -71,11 +71,6 @@ def measure(params: EvaluateCost, inputs: Sequence[Path], progress: Progress) ->
     return collect(rows, of_mechanics + sum(len(load.settings) for load in loads), progress)
 
 
-def summary(rows: Rows) -> Row:
-    """Return the number of rows."""
-    return {"rows": len(rows)}
-
-
 def falling(first_n: float, last_n: float, seconds: float, begin_s: float = 0.0) -> Callable[[float], float]:
     """Return a normal force over time that falls evenly from first_n at begin_s to last_n after so many seconds."""
     return lambda time_s: first_n + (last_n - first_n) * min(max((time_s - begin_s) / (seconds - begin_s), 0.0), 1.0)

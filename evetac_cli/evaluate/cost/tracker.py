@@ -8,10 +8,9 @@ and depends on their number.
 """
 
 import math
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, cycle
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
-from evetac_cli.evaluate.common.rows import STILL, Extent, collect, run_times
+from evetac_cli.evaluate.common.rows import STILL, WARM_UP, Extent, collect, run_times, timed_us
 from evetac_cli.evaluate.cost import EvaluateCost
 from evetac_cli.evaluate.cost.camera import Workload, oscillation, play
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
@@ -32,7 +31,6 @@ SLICES = Extent(quick=(400, 60, 200), full=(2000, 400, 2000))  # per workload
 STEPS = Extent(quick=120, full=3000)  # number of timed steps
 EVENT_COUNTS = (0, 50, 200, 1_000, 5_000, 20_000)
 USUAL_COUNT = 1_000  # events per slice for `time_us_median` and `time_us_p99`
-WARM_UP = 20  # steps left out of the run times
 DISTINCT = 400_000  # events in slices timed in turn: with few, their pixels would always be in the cache
 PATH_PIECES = 16  # per slice
 # An edge of 1.5 px from 10 to 90 %; contrast and threshold as in the published simulators with these motions.
@@ -169,18 +167,13 @@ def _figures(error_px: Floats, still_px: Floats, lost: int, events: int) -> Row:
     }
 
 
-def _time_steps(constants: TrackerConstants, count: int, steps: int, seed: int) -> NDArray[np.float64]:
+def _time_steps(constants: TrackerConstants, count: int, steps: int, seed: int) -> Floats:
     """Return run times of steps in us, on slices of events of the dots' rims in turn, without the first few."""
     rng = np.random.default_rng((seed, count))
     state = tracker.start(DOTS_PX, constants)
-    slices = [rim_events(rng, count) for _ in range(min(steps, max(WARM_UP, DISTINCT // max(count, 1))))]
-    took_us = np.empty(steps)
-    for k in range(steps):
-        x, y, p = slices[k % len(slices)]
-        begin = time.perf_counter()
-        tracker.step(state, x, y, p)
-        took_us[k] = (time.perf_counter() - begin) * 1e6
-    return took_us[WARM_UP:]
+    distinct = min(steps, max(WARM_UP, DISTINCT // max(count, 1)))
+    slices = cycle([rim_events(rng, count) for _ in range(distinct)])
+    return timed_us(lambda: tracker.step(state, *next(slices)), steps - WARM_UP)
 
 
 def rim_events(

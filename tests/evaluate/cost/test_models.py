@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from evetac_cli.evaluate.common import rows
 from evetac_cli.evaluate.cost import EvaluateCost, models
 from evetac_cli.evaluate.cost import command as cost
 from evetac_cli.evaluate.slip import EvaluateSlip
@@ -42,8 +43,7 @@ def evaluated(files: dict[str, list[Path]], models: list[Path], out: Path) -> Pa
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Time a few repeats."""
-    whole = models.timed
-    monkeypatch.setattr(models, "timed", lambda act: whole(act, repeats=5, longest_s=0.0))
+    monkeypatch.setattr(models, "REPEATS", 5)
 
 
 def make(inputs: list[Path], out: Path, **values: Any) -> Any:
@@ -64,16 +64,16 @@ def test_front_by_hand() -> None:
 
 def test_tasks_have_fronts_of_their_own() -> None:
     """Assert that a detector of slip now is not beaten by one that warns ahead, and the other way round."""
-    rows = points((0.1, 1.0), (0.5, 2.0)) + points((0.3, 5.0), (0.4, 6.0), horizon_ms=10)
-    assert models.front(rows, "error_share_f1") == [True, False, True, False]
+    tasks = points((0.1, 1.0), (0.5, 2.0)) + points((0.3, 5.0), (0.4, 6.0), horizon_ms=10)
+    assert models.front(tasks, "error_share_f1") == [True, False, True, False]
 
 
 def test_timed_repeats() -> None:
     """Assert that fewer repeats are timed where the time is over, but never fewer than the fewest."""
     calls = []
-    assert len(models.timed(lambda: calls.append(0), repeats=70, longest_s=60.0)) == 70
-    assert len(calls) == 70 + models.WARM_UP
-    assert len(models.timed(lambda: None, repeats=1000, longest_s=0.0)) == models.FEWEST
+    assert len(rows.timed_us(lambda: calls.append(0), repeats=70, longest_s=60.0)) == 70
+    assert len(calls) == 70 + rows.WARM_UP
+    assert len(rows.timed_us(lambda: None, repeats=1000, longest_s=0.0)) == rows.FEWEST
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from evetac_cli.evaluate.cost.pipeline import (
     Chain,
     ChainTrial,
     Lifted,
-    Measured,
+    compared,
     detection_moved_ms,
     run_chain,
     slip_errors,
@@ -25,6 +25,7 @@ from evetac_cli.evaluate.cost.pipeline import (
     trials,
 )
 from evetac_cli.evaluate.labels.measure import true_onsets
+from evetac_cli.jobs import Rows
 from evetac_cli.kernels.force.models import Regression
 from evetac_cli.store.recordings.read import open_recording
 
@@ -68,14 +69,15 @@ def test_how_far_the_first_detection_moves() -> None:
 
 def measured(
     setting: SolverSetting, slow: float, off: float, held: bool = True, moved_from: int | None = 50
-) -> Measured:
-    entry = Measured(setting)
+) -> tuple[SolverSetting, Rows]:
+    rows = []
     for trial in range(4):
         errors = dict.fromkeys(pipeline.SLIP_ERRORS, off + 0.01 * trial) | {"error_share_detection": float(off > 20.5)}
         one = chain(50, 50, 50)._replace(chain_us=slow + trial, record_us=0.5 * slow)
         made = one, Lifted(held, 1.0 + off, slow)
-        entry.add(made, errors, (chain(50, 50, moved_from), Lifted(True, 1.0, 1.0)))
-    return entry
+        nothing = Regression(np.zeros((2, 2)), np.zeros(2))
+        rows.append(compared(made, (chain(50, 50, moved_from), Lifted(True, 1.0, 1.0)), nothing) | errors)
+    return setting, rows
 
 
 def test_tables() -> None:
