@@ -13,11 +13,11 @@ from evetac_cli.devices import GripperReading, Rig, SecondCamera
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.sim.camera.gel_camera import GelCamera
-from evetac_cli.sim.parts import Simulation, scene_in_words, simulation_of
 from evetac_cli.sim.scenes.gripped import GraspSimulation
+from evetac_cli.sim.setup.parts import Timer, untimed
 from evetac_cli.sim.setup.plan import Plan
-from evetac_cli.sim.setup.scene_part import Timer, untimed
 from evetac_cli.sim.setup.sensor import Sensor
+from evetac_cli.sim.simulation import Simulation, scene_in_words, simulation_of
 
 
 class SimulatedCamera:

@@ -139,17 +139,11 @@ def _over_holding(rows: Mapping[str, NDArray[Any]], *, balanced: bool) -> dict[s
     return dict(zip(names, (end_n, *map(float, ratios)), strict=True))
 
 
-def _at_steps(rows: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.float64]:
-    """Return the rows of the slices at the steps of the controller."""
-    values = rows[name].astype(np.float64)
-    at: NDArray[np.float64] = values[np.clip(rows["control/t_us"] // SLICE_US - 1, 0, len(values) - 1)]
-    return at
-
-
 def _motor_work_j(rows: Mapping[str, NDArray[Any]], newton_per_ma: float | None) -> float:
     """Return the mechanical work of both fingers' motors in J, counted positive in both directions."""
     usual = gripper.Drive.force_per_current_n_ma
-    closing = _at_steps(rows, "truth/closing_ticks")
+    closing = rows["truth/closing_ticks"].astype(np.float64)
+    closing = closing[np.clip(rows["control/t_us"] // SLICE_US - 1, 0, len(closing) - 1)]  # at the controller's steps
     ticks = float(np.median(rows["gripper/position_ticks"]))
     metres_per_tick = abs(gripper.gap_m(ticks + 0.5) - gripper.gap_m(ticks - 0.5))
     force_n = (usual if newton_per_ma is None else newton_per_ma) * np.abs(rows["gripper/current_ma"][1:])

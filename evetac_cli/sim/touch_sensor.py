@@ -31,23 +31,14 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events, concatenate
 from evetac_cli.kernels.slip.architectures import Sensitivity
 from evetac_cli.sim.camera.gel_camera import GelCamera
-from evetac_cli.sim.gel import contact, gel
+from evetac_cli.sim.gel import contact
 from evetac_cli.sim.gel.cell_gaps import CellGaps, cell_samples, gaps_of
 from evetac_cli.sim.scenes.gel_view import GelView
-from evetac_cli.sim.scenes.shared import (
-    STEP_S,
-    GelSlices,
-    friction_factor,
-    friction_of,
-    material,
-    pad,
-    press,
-    pressure_law,
-)
+from evetac_cli.sim.scenes.shared import STEP_S, GelSlices, friction_of, press, pressure_law, start_gel
 from evetac_cli.sim.setup import object_file, plan, sampling
 from evetac_cli.sim.setup.object_file import TouchedObject
+from evetac_cli.sim.setup.parts import untimed
 from evetac_cli.sim.setup.scene import GelSettings, Randomised, Scene, SceneTimes, Solver, with_given
-from evetac_cli.sim.setup.scene_part import untimed
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.text_files import require_finite
 
@@ -211,20 +202,16 @@ class TouchSensor:
         self.sensitivity: Sensitivity = one.sensitivity()
 
     def _build(self, sensor: Sensor, touched: TouchedObject, scene: Scene, at_m: tuple[float, ...]) -> None:
-        nodes = pad(scene.solver, sensor, cut=scene.gel.cut)
-        self._samples_m = cell_samples(nodes)
-        self._material = material(sensor)
-        self._shape = (touched.shape, touched.width_mm * 0.5e-3, self.sampled.tilt_rad)
-        self._node_stiffness_n_m = sensor.normal_modulus_pa / self._material.height_m * contact.cell_area(nodes)
         mass_kg = PUSHER_N_S_M * STEP_S
-        start = (mass_kg, mass_kg * PUSHER_ARM_M**2, 1)
-        self._friction_factor, self._pressure_law = friction_factor(sensor, nodes), pressure_law(self.sampled)
-        varies = self._friction_factor
-        self._gel = gel.start(nodes, self._material, *start, body_xy_m=(at_m[0], at_m[1]), friction_factor=varies)
-        solver = scene.solver
-        self._gel_slices = GelSlices(self._gel, solver)
+        self._gel = start_gel(scene, sensor, mass_kg, mass_kg * PUSHER_ARM_M**2, 1, (at_m[0], at_m[1]))
+        self._friction_factor, self._pressure_law = self._gel.friction_factor, pressure_law(self.sampled)
+        self._samples_m = cell_samples(self._gel.node_xy_m)
+        self._height_m = self._gel.material.height_m
+        self._shape = (touched.shape, touched.width_mm * 0.5e-3, self.sampled.tilt_rad)
+        self._node_stiffness_n_m = sensor.normal_modulus_pa / self._height_m * self._gel.cell_area_m2
+        self._gel_slices = GelSlices(self._gel, scene.solver)
         self._friction = friction_of(self.sampled)
-        self._view = GelView(self._camera, self._gel, solver.camera_substeps, untimed)
+        self._view = GelView(self._camera, self._gel, scene.solver.camera_substeps, untimed)
         self._now_ns = self._slices = 0
         place = (at_m[0], at_m[1], 0.0)
         height_m = self._height_of_surface(place)
@@ -367,7 +354,7 @@ class TouchSensor:
         least_m = gaps.least_m
         if not math.isfinite(least_m):
             return _Surface(place, gaps, stiffness_n_m, FARTHEST_M, 0.0)
-        deepest_m = least_m + self._material.height_m
+        deepest_m = least_m + self._height_m
         most_n = stiffness_n_m * float(gaps.depth_m(deepest_m).sum())
         return _Surface(place, gaps, stiffness_n_m, deepest_m, most_n)
 

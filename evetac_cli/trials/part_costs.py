@@ -19,9 +19,8 @@ import numpy as np
 from evetac_cli.arrays import Floats
 from evetac_cli.events import SLICES_PER_S, Events
 from evetac_cli.jobs import Outcome, Progress, silent
-from evetac_cli.sim.camera.camera_parts import Camera, Dots
+from evetac_cli.sim.setup.parts import CAMERA, DOTS, Call, Timer, rows_of, switched
 from evetac_cli.sim.setup.scene import Scene
-from evetac_cli.sim.setup.scene_part import Call, Timer
 from evetac_cli.trials.trial import SimulatedTrial, grid_notes
 
 REPEATS = 3  # most repeats
@@ -70,9 +69,9 @@ class PartCosts:
                 shown[part] = float(more_us.mean())
                 error_us = float(more_us.std(ddof=1)) / math.sqrt(len(more_us)) if len(more_us) > 1 else shown[part]
                 noise[part] = max(-shown[part], SURE * error_us)
-        in_camera = [part for part in names[names.index(Camera.NAME) + 1 :] if part in costs]
-        costs[Dots.NAME] = costs[Camera.NAME] - sum(costs[part] for part in in_camera)
-        noise[Dots.NAME] = max(-costs[Dots.NAME], math.hypot(*(noise.get(part, 0.0) for part in in_camera)))
+        in_camera = [part for part in names[names.index(CAMERA.name) + 1 :] if part in costs]
+        costs[DOTS.name] = costs[CAMERA.name] - sum(costs[part] for part in in_camera)
+        noise[DOTS.name] = max(-costs[DOTS.name], math.hypot(*(noise.get(part, 0.0) for part in in_camera)))
         for row in rows:
             part = row["part"]
             row["time_us"], row["saves_us"], row["noise_us"] = costs.get(part), saved.get(part), noise.get(part)
@@ -92,8 +91,6 @@ BESIDE_SCENE = {
 
 def dry_run(trials: Sequence[SomeTrial], play: Play[SomeTrial], progress: Progress = silent) -> Outcome:
     """Return what the first trial builds and leaves out, and the cost of each part on this machine."""
-    from evetac_cli.sim.parts import rows_of  # imports numba
-
     costs = measure(trials[0], play, progress)
     files: dict[str, Any] = {"files": sum(len(trial.outputs) for trial in trials), "first_file": str(trials[0].output)}
     if notes := grid_notes(trials):
@@ -184,8 +181,6 @@ def measure(trial: SomeTrial, play: Play[SomeTrial], progress: Progress = silent
 
     As many slices and repeats as fit into BUDGET_S. None if the trial has no slices to measure.
     """
-    from evetac_cli.sim.parts import rows_of, switched  # imports numba
-
     runs: dict[str | None, SomeTrial] = {None: trial}
     runs |= {part: replace(trial, plan=plan) for part, plan in switched(trial.plan).items()}
     timer = CallTimer()

@@ -278,8 +278,8 @@ def nodes_of_slip(trial: SimulatedTrial, grip: float = 1.0) -> float:
 
     grip: normal force over the slip limit. SceneError if the trial cannot be simulated.
     """
-    from evetac_cli.sim.parts import simulation_of  # imports numba
     from evetac_cli.sim.scenes.gripped import GraspSimulation
+    from evetac_cli.sim.simulation import simulation_of  # imports numba
 
     simulation = simulation_of(trial.plan, trial.seeds())
     return simulation.pads.nodes_of_slip(grip) if isinstance(simulation, GraspSimulation) else math.inf

@@ -30,7 +30,7 @@ from evetac_cli.evaluate.benchmark.predictions import WARNING_KINDS, Predictions
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels.grip.control import Control
 from evetac_cli.sim import grasp_outcome
-from evetac_cli.sim.setup.scene_part import untimed
+from evetac_cli.sim.setup.parts import untimed
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.store.recordings.trial_writer import TrialBuffer
 from evetac_cli.trials import grasp

@@ -6,7 +6,7 @@ from typing import Any
 from evetac_cli.inspect.listing import flat_rules, rules_of
 from evetac_cli.resources import SCENES
 from evetac_cli.resources import table as packaged
-from evetac_cli.sim.parts import PARTS, rows_of
+from evetac_cli.sim.setup.parts import PARTS, rows_of
 from evetac_cli.sim.setup.plan import Plan, first_plan
 from evetac_cli.sim.setup.sensor_file import FOR_EACH_TRIAL
 from evetac_cli.sim.setup.sensor_file import rows as sensor_rows
@@ -117,11 +117,11 @@ def _parts() -> str:
         " time. [Disturbances](../disturbances.md) shows how each part changes events, labels, tracks and grasps.\n",
     ]
     for part in PARTS:
-        name = part.NAME
+        name = part.name
         lines.append(f"## {name}\n")
         rows = [
             (code(path), owner, prose(rule.get("description", "")), _values(rule))
-            for owner, path in (key.split(".", 1) for key in part.KEYS)
+            for owner, path in (key.split(".", 1) for key in part.keys)
             for rule in (_rule(rules[owner], path),)
         ]
         lines.append(table(("key", "of", "meaning", "values"), rows))

@@ -23,9 +23,9 @@ from evetac_cli.sim.scenes.shared import GRAVITY_M_S2
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.held import FallingWeight, GripperCurrent, HandJerk, HandVibration, Pushes
 from evetac_cli.sim.setup.object_file import TouchedObject
+from evetac_cli.sim.setup.parts import Timer, untimed
 from evetac_cli.sim.setup.plan import Plan, first_plan
 from evetac_cli.sim.setup.scene import Scene
-from evetac_cli.sim.setup.scene_part import Timer, untimed
 from evetac_cli.trials.grasp.loop import Timing, grasp_slices
 from evetac_cli.trials.record import simulated
 from evetac_cli.trials.trial import SimulatedTrial

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from evetac_cli.resources import SCENES
-from evetac_cli.sim.parts import rows_of, switched
+from evetac_cli.sim.setup.parts import rows_of, switched
 from evetac_cli.sim.setup.plan import Plan, first_plan
 from evetac_cli.sim.setup.sensor import NoiseFilterSettings, ReadoutLimit
 

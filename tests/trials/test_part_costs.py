@@ -15,9 +15,8 @@ from evetac_cli.cli.main import app
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.record import Record
 from evetac_cli.jobs import Outcome
-from evetac_cli.sim.parts import rows_of
+from evetac_cli.sim.setup.parts import Timer, rows_of, untimed
 from evetac_cli.sim.setup.plan import Plan
-from evetac_cli.sim.setup.scene_part import Timer, untimed
 from evetac_cli.trials import grasp, part_costs, record
 from evetac_cli.trials.part_costs import BLOCK, Append, CallTimer, PartCosts, for_people, measure
 from evetac_cli.trials.record import simulated

@@ -1,4 +1,4 @@
-"""Checks of the inputs of the camera: positions and paths in px, window, texture, lines.
+"""Checks of the inputs of the camera: positions and paths in px, lines.
 
 Invalid input raises a ValueError with expected and found, before a camera changes.
 """
@@ -102,31 +102,10 @@ def _curved(dot_path_px: ArrayLike, dots_start: Floats, dots_end: Floats) -> Flo
     return np.ascontiguousarray(path.transpose(1, 0, 2))
 
 
-def window_corners(window_px: tuple[int, int, int, int] | None, frame_px: tuple[int, int]) -> tuple[int, int, int, int]:
-    """Return x0, y0, x1, y1 of a window within the frame, ends excluded; all 0 without a window."""
-    if window_px is None:
-        return 0, 0, 0, 0
-    x0, y0, x1, y1 = (int(corner) for corner in window_px)
-    assert 0 <= x0 < x1 <= frame_px[0] and 0 <= y0 < y1 <= frame_px[1]
-    return x0, y0, x1, y1
-
-
-def window_texture(texture: NDArray[np.float32] | None) -> NDArray[np.float32]:
-    """Return a texture whose sides are powers of two, which the window requires; one level of 0 if None is given."""
-    if texture is None:
-        return np.zeros((1, 1), np.float32)
-    pattern = np.ascontiguousarray(texture, np.float32)
-    assert pattern.ndim == 2 and all(size >= 1 and not size & (size - 1) for size in pattern.shape)
-    assert np.isfinite(pattern).all()
-    return pattern
-
-
-def line_motion(
-    contact_edges: ContactEdges | None, motion: SliceMotion, *, coarsely: bool = False
-) -> LineMotion | None:
+def line_motion(contact_edges: ContactEdges | None, motion: SliceMotion) -> LineMotion | None:
     """Return the checked motion of the lines in a slice; None if there are none, or none moves.
 
-    coarsely: ignore a motion of the cut edge that is too small for scans to notice, which keeps a slow shear cheap.
+    A motion of the cut edge that is too small for scans to notice is ignored, which keeps a slow shear cheap.
     """
     start, end = motion.contact_edges_start, motion.contact_edges_end
     if contact_edges is None:
@@ -141,6 +120,6 @@ def line_motion(
     contact_edges.placed = end, last
     places = (first, last)
     contact_edges.rested = end if start is end else None
-    if contact_edges.still(*places, contact_edges.cut_resolution_px * 0.99 if coarsely else 0.0):
+    if contact_edges.still(*places, contact_edges.cut_resolution_px * 0.99):
         return None
     return contact_edges.motion(*places)

@@ -19,8 +19,8 @@ from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import contact_edges
 from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.low_pass import LowPass, light_at, rim_bandwidth
-from evetac_cli.sim.camera.scanning import camera, light
-from evetac_cli.sim.setup.scene import CalibrationOffset, Scene, VanishingDots
+from evetac_cli.sim.camera.scanning import camera
+from evetac_cli.sim.setup.scene import Scene, VanishingDots
 from evetac_cli.sim.setup.sensor import Sensor
 
 CUT_NODES = 13  # points along the cut edge at which the gel's displacement is needed
@@ -89,25 +89,22 @@ def dot_grid(sensor: Sensor, cut: bool) -> Floats:
     """
     if sensor.dot_xy_px:
         dot_xy_px = np.array(sensor.dot_xy_px, np.float64)
-        return _beside_window(dot_xy_px, sensor) if cut else dot_xy_px
+        return dot_xy_px[:, _beside_window(dot_xy_px, sensor)] if cut else dot_xy_px
     columns, rows = sensor.dot_columns_px, sensor.dot_rows_px
     rng = np.random.default_rng(sensor.seed)
     grid = np.stack(np.meshgrid(columns, rows), axis=-1)
-    grid = grid + rng.normal(0.0, sensor.dot_jitter_px, grid.shape)
-    angle = np.deg2rad(sensor.turned_deg)
-    middle = np.array(sensor.frame_px) / 2
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    grid = (grid - middle) @ turn + middle
-    dots: Floats = _beside_window(grid, sensor) if cut else grid
-    return dots
+    grid = _turned(grid + rng.normal(0.0, sensor.dot_jitter_px, grid.shape), sensor, sensor.turned_deg)
+    return grid[:, _beside_window(grid, sensor)] if cut else grid
 
 
-def _beside_window(grid: Floats, sensor: Sensor) -> Floats:
-    beside: Floats = grid[:, _columns_beside_window(grid, sensor)]
-    return beside
+def _turned(grid: Floats, sensor: Sensor, angle_deg: float) -> Floats:
+    """Return positions (..., 2) in px, rotated about the middle of the frame."""
+    angle, middle = np.deg2rad(angle_deg), np.array(sensor.frame_px) / 2
+    turned: Floats = (grid - middle) @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    return turned + middle
 
 
-def _columns_beside_window(grid: Floats, sensor: Sensor) -> NDArray[np.bool_]:
+def _beside_window(grid: Floats, sensor: Sensor) -> NDArray[np.bool_]:
     beside: NDArray[np.bool_] = grid[..., 0].max(axis=0) + sensor.dot_radius_px < sensor.window_px[0]
     return beside
 
@@ -124,19 +121,9 @@ def dots_differ(sensor: Sensor, cut: bool) -> tuple[Floats, Floats] | None:
     grid = dot_grid(sensor, cut=False)
     deviations = np.random.default_rng([sensor.seed, 3]).standard_normal((2, *grid.shape[:2])).clip(-3.0, 3.0)
     if cut:
-        deviations = deviations[:, :, _columns_beside_window(grid, sensor)]
+        deviations = deviations[:, :, _beside_window(grid, sensor)]
     radii, contrasts = np.maximum(1.0 + np.array(spreads)[:, None] * deviations.reshape(2, -1), FAINTEST)
     return radii, contrasts
-
-
-def calibrated_grid(grid_xy_px: Floats, frame_px: ArrayLike, calibration: CalibrationOffset) -> Floats:
-    """Return the dots at rest according to a wrong calibration: rotated about the frame's middle, then shifted."""
-    angle = np.deg2rad(calibration.turned_deg)
-    middle = np.asarray(frame_px) / 2
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    off_px = np.asarray(calibration.offset_px, np.float64)
-    grid: Floats = (grid_xy_px - middle) @ turn + middle + off_px
-    return grid
 
 
 @njit(cache=True)
@@ -165,7 +152,6 @@ class GelCamera:
     def __init__(
         self,
         sensor: Sensor,
-        *,
         scene: Scene,
         texture: NDArray[np.float32] | None,
         rng: np.random.Generator,
@@ -182,9 +168,9 @@ class GelCamera:
         self._lens = Lens.of_sensor(sensor)
         self._flat_xy_px = dot_grid(sensor, cut)  # without the lens
         self.grid_xy_px = self._flat_xy_px if self._lens is None else self._lens.seen(self._flat_xy_px)
-        self.calibrated_grid_xy_px = self.grid_xy_px
-        if scene.calibration is not None:
-            self.calibrated_grid_xy_px = calibrated_grid(self.grid_xy_px, sensor.frame_px, scene.calibration)
+        self.calibrated_grid_xy_px, off = self.grid_xy_px, scene.calibration
+        if off is not None:
+            self.calibrated_grid_xy_px = _turned(self.grid_xy_px, sensor, off.turned_deg) + np.array(off.offset_px)
         self._gone, self._gone_from_us = self._vanishing(scene.vanishing_dots)
         self.window_px = sensor.window_px if cut else None
         self.mm_per_px = sensor.mm_per_px
@@ -236,14 +222,13 @@ class GelCamera:
             self._lined_at = self.object_xy_px
             line = (sensor.cut_contrast, sensor.cut_width_px)
             self._lines = contact_edges.start(model.frame_px, self._place, outline, *line)
-        change = light.of_scene(scene.light)
         differ = dots_differ(sensor, cut)
-        self._camera = camera.start(model, self.dot_xy_px, window, rng, built, self._lines, change, differ)
+        self._camera = camera.start(model, self.dot_xy_px, window, rng, built, self._lines, scene.light, differ)
 
     def _bandwidths(self, sensor: Sensor) -> tuple[float | Floats, float | Floats]:
         """Return the bandwidths of the pixels at each dot's rim, and of those in the window."""
         bandwidth_hz = sensor.bandwidth_hz
-        if not sensor.bandwidth_by_light:
+        if not sensor.is_slow_in_dark:
             return bandwidth_hz, bandwidth_hz
         places = self.dot_xy_px, self._window_middle_px(sensor)
         dots, window = (light_at(place, sensor.frame_px, sensor.light_gradient) for place in places)
@@ -273,7 +258,7 @@ class GelCamera:
         The cut is straight between two ends, each off the window's border by the sensor's jitter. Both are empty
         without a cut edge.
         """
-        if not cut or sensor.cut_contrast == 0.0:
+        if not sensor.has_dark_cut(cut=cut):
             return np.zeros(0), np.zeros((0, 2))
         width, height = sensor.frame_px
         border_px = sensor.window_px[0]
@@ -378,11 +363,8 @@ class GelCamera:
         still = self._outline is None or (strength == before.strength and (object_xy_px == self._lined_at).all())
         moved_m = contact_edges.farthest(cut_m.reshape(-1), self._cut_m.reshape(-1))
         if not still or moved_m * 1e3 > CUT_STEP_PX * self.mm_per_px:
-            self._place, self._cut_m, self._lined_at = (
-                self._place_at(object_xy_px, cut_m, strength),
-                cut_m,
-                object_xy_px,
-            )
+            self._place = self._place_at(object_xy_px, cut_m, strength)
+            self._cut_m, self._lined_at = cut_m, object_xy_px
         return before, self._place
 
     def _lag(self, path: Floats, object_px: Floats) -> tuple[Floats, tuple[Floats, Floats, Floats, Floats]]:

@@ -15,8 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from evetac_cli.errors import check_range
-
 WINDOW_PX = (15, 15)  # window of the optical flow
 LEVELS = 2  # levels of the pyramid, in addition to the frame itself
 MOST_ROUNDS, CLOSE_ENOUGH_PX = 10, 0.03  # limits of the search for a dot: iterations, step size
@@ -32,11 +30,6 @@ class RgbCamera:
     log_contrast: float = 1.61  # contrast between gel and dot, log units
     gel_grey: float = 180.0
     noise_grey: float = 2.0  # standard deviation of every pixel in every frame
-
-    def __post_init__(self) -> None:
-        check_range("noise_grey", self.noise_grey)
-        check_range("gel_grey", self.gel_grey, 0.0, 255.0, above=True)
-        check_range("frame_ms", self.frame_ms, 1)
 
 
 def frame(camera: RgbCamera, dot_xy_px: ArrayLike, radius_px: float, rng: np.random.Generator) -> NDArray[np.uint8]:

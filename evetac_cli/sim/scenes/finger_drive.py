@@ -9,96 +9,26 @@ from evetac_cli.sim import gripper
 from evetac_cli.sim.gel.contact import ForceCurve
 from evetac_cli.sim.gripper import Mode
 from evetac_cli.sim.scenes.shared import STEP_S
+from evetac_cli.sim.setup.parts import GRIPPER, Timer
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import SampledTrial
-from evetac_cli.sim.setup.scene_part import Essential, OfGripper, Timer
 
 APPROACH_TICKS = -4.0  # start of a lift scene: position relative to touch
 
 Command = tuple[Mode, float]
 
 
-class HoldingGripper(OfGripper, Essential):
-    """The gripper that holds the object."""
-
-    NAME = "gripper"
-    KEYS = ("sensor.gripper", "scene.kind", "scene.gripper")
-
-
-class GearFriction(OfGripper):
-    """More or less friction in the gears than in the standard gripper's."""
-
-    NAME = "gear friction"
-    KEYS = ("sensor.gripper.friction_factor", "scene.gripper.friction_factor")
-
-
-class BreakingLoose(OfGripper):
-    """Gears that need more force to start than to move on."""
-
-    NAME = "gear that breaks loose"
-    KEYS = ("sensor.gripper.kinetic_share",)
-
-
-class GripperFault(OfGripper):
-    """An imperfection, from keys that a scene's gripper and a sensor's own have; 0 means none."""
-
-    @classmethod
-    def values(cls, plan: Plan) -> list[float]:
-        """Return the values of the scene's keys; of those that the scene leaves out, the sensor's."""
-        names = [key.rpartition(".")[2] for key in cls.KEYS if key.startswith("scene.")]
-        of_scene, of_sensor = plan.scene.gripper, plan.sensor.gripper
-        return [getattr(of_sensor if getattr(of_scene, name) is None else of_scene, name) for name in names]
-
-    @classmethod
-    def is_in(cls, plan: Plan) -> bool:
-        """Return whether a plan's gripper has the imperfection."""
-        return plan.scene.is_gripped and any(cls.values(plan))
-
-
-class Backlash(GripperFault):
-    """Play between motor and finger."""
-
-    NAME = "backlash of the gripper"
-    KEYS = ("sensor.gripper.backlash_ticks", "scene.gripper.backlash_ticks")
-
-
-class EncoderNoise(GripperFault):
-    """Noise of the position that servo and controller read."""
-
-    NAME = "noise of the gripper's encoder"
-    KEYS = ("sensor.gripper.encoder_noise_ticks", "scene.gripper.encoder_noise_ticks")
-
-    def __init__(self, plan: Plan, rng: np.random.Generator | None = None) -> None:
-        """Prepare the noise."""
-        assert rng is not None
-        (self._ticks,), self._rng = self.values(plan), rng
-
-    def draw_ticks(self) -> float:
-        """Return the encoder's error in the next slice."""
-        return self._ticks * float(self._rng.normal())
-
-
-class LateCommands(GripperFault):
+class LateCommands:
     """Transmission of commands to the motor: each takes effect after a delay, and no command overtakes another.
 
     A command arrives after the delay and a random part of the jitter.
     """
 
-    NAME = "commands that come late"
-    KEYS = (
-        *("sensor.gripper.command_delay_ms", "sensor.gripper.command_jitter_ms"),
-        *("scene.gripper.command_delay_ms", "scene.gripper.command_jitter_ms"),
-    )
-
-    def __init__(self, plan: Plan, rng: np.random.Generator | None = None) -> None:
-        """Prepare the transmission; `start` says which command is in effect."""
-        assert rng is not None
-        self._delay, self._jitter = (ms * 1e-3 / STEP_S for ms in self.values(plan))
+    def __init__(self, delay_ms: float, jitter_ms: float, command: Command, rng: np.random.Generator) -> None:
+        """Start with a command in effect."""
+        self._delay, self._jitter = delay_ms * 1e-3 / STEP_S, jitter_ms * 1e-3 / STEP_S
         self._rng = rng
         self._on_the_way: deque[tuple[float, Command]] = deque()
-
-    def start(self, command: Command) -> None:
-        """Start with a command in effect."""
         self._in_effect = self._last_command = command
 
     def at(self, slice_number: int, command: Command) -> Command:
@@ -142,8 +72,8 @@ class FingerDrive:
             raise ValueError(
                 f"gripper.start_n: {own.start_n:g} N cannot hold an object that slips below {slip_limit_n:.3g} N"
             )
-        (backlash_ticks,) = Backlash.values(plan)
         self.curve = curve
+        backlash_ticks = plan.of_gripper("backlash_ticks")
         self.drive = drive = gripper.make_drive(plan.sensor.gripper, sampled.gear_friction_factor, backlash_ticks)
         start_n = sampled.start_factor * slip_limit_n + own.start_more_n if own.start_n is None else own.start_n
         self.holding_ma = float(np.ceil(gripper.closing_push_n(drive, start_n) / drive.force_per_current_n_ma))
@@ -160,17 +90,18 @@ class FingerDrive:
             away = APPROACH_TICKS if plan.scene.kind == "lift" else -own.open_ticks
             self.state = gripper.start(drive, curve, touch_ticks, away)
             self.command = ("position", self.state.position_ticks)
-        self._step = timer(HoldingGripper.NAME, gripper.step)
-        self._noise, self._late = EncoderNoise.of(plan, of_encoder), LateCommands.of(plan, of_commands)
-        if self._late is not None:
-            self._late.start(self.command)
+        self._step = timer(GRIPPER.name, gripper.step)
+        self._noise_ticks, self._of_encoder = plan.of_gripper("encoder_noise_ticks"), of_encoder
+        delay_ms, jitter_ms = plan.of_gripper("command_delay_ms"), plan.of_gripper("command_jitter_ms")
+        late = delay_ms or jitter_ms
+        self._late = LateCommands(delay_ms, jitter_ms, self.command, of_commands) if late else None
 
     def move(self, slice_number: int) -> tuple[float, float]:
         """Move for a slice; return the normal force before and after."""
         before_n = self.state.force_n
         mode, command = self.command if self._late is None else self._late.at(slice_number, self.command)
-        if self._noise is not None:
-            self.state.encoder_off_ticks = self._noise.draw_ticks()
+        if self._noise_ticks:
+            self.state.encoder_off_ticks = self._noise_ticks * float(self._of_encoder.normal())
         return before_n, self._step(self.state, self.drive, self.curve, mode, command, STEP_S)
 
     @property

@@ -8,31 +8,17 @@ from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.events import SLICE_US, Events
-from evetac_cli.sim.camera.camera_parts import Camera
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import dots, gel
 from evetac_cli.sim.gel.cell_gaps import CellGaps
 from evetac_cli.sim.scenes.shared import STEP_S
 from evetac_cli.sim.scenes.true_slip import RECENT_MS, GroundTruthSlip
-from evetac_cli.sim.setup.plan import Plan
-from evetac_cli.sim.setup.scene_part import ScenePart, Timer
+from evetac_cli.sim.setup.parts import CAMERA, SECOND_CAMERA, Timer
 
 # From coordinates of the pad, which are those of the first sensor, to those of the first sensor's image and of the
 # second's, which faces it; and back.
 ALONG, FACING = np.ones(2), np.array([1.0, -1.0])
 OUT_OF_SIGHT_M = np.zeros(2)  # position of an object without visible texture
-
-
-class CameraOfSecondFinger(ScenePart):
-    """A camera behind the second finger's gel."""
-
-    NAME = "camera of the second finger"
-    MEASURED = False
-
-    @classmethod
-    def is_in(cls, plan: Plan) -> bool:
-        """Return whether a plan has a sensor on each finger."""
-        return plan.second is not None
 
 
 class DotPath:
@@ -74,7 +60,7 @@ class GelView:
     ) -> None:
         """Start the view; pieces: number of straight pieces of a dot's path in each slice; second: of that finger."""
         self.camera = camera
-        self.render = timer(CameraOfSecondFinger.NAME if second else Camera.NAME, camera.render)
+        self.render = timer((SECOND_CAMERA if second else CAMERA).name, camera.render)
         self._pad = pad
         facing = self._facing = FACING if second else ALONG
         rest_m, cut_m = camera.rest_m * facing, camera.cut_rest_m * facing

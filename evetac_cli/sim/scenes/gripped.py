@@ -21,17 +21,16 @@ from numpy.typing import NDArray
 from evetac_cli.arrays import Floats
 from evetac_cli.events import FRAME_PX, SLICES_PER_S, Events
 from evetac_cli.sim.camera import optics
-from evetac_cli.sim.camera.camera_parts import Window
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.scenes.finger_drive import FingerDrive
 from evetac_cli.sim.scenes.gel_view import ALONG, FACING, GelView
 from evetac_cli.sim.scenes.held_object import HeldObject, Support
 from evetac_cli.sim.scenes.pads import Pads
-from evetac_cli.sim.scenes.shared import ChangeOfFriction, SolverTruth, friction_of
+from evetac_cli.sim.scenes.shared import SolverTruth, friction_after
 from evetac_cli.sim.setup.object_file import seed_of
+from evetac_cli.sim.setup.parts import Timer, untimed
 from evetac_cli.sim.setup.plan import SECOND, Plan
-from evetac_cli.sim.setup.sampling import SampledTrial, sample_trial, sensor_with_gel
-from evetac_cli.sim.setup.scene_part import Timer, untimed
+from evetac_cli.sim.setup.sampling import SampledTrial, sample_trial
 
 LEAST_FRICTION = 1e-6  # below, the holding force would not be finite
 TEXTURE_PX = (1024, 1024)  # size of an object's texture
@@ -62,7 +61,7 @@ class FingerView(GelView):
             assert plan.second is not None and pads.second is not None
             seen_by, state, facing = plan.second.sensor, pads.second.state, FACING
         texture = None
-        if Window.is_in(plan):
+        if scene.shows_texture:
             assert scene.texture is not None
             texture_rng = np.random.default_rng(
                 [TEXTURE_SEED, seed_of(plan.object_name), *((SECOND,) if second else ())]
@@ -71,7 +70,7 @@ class FingerView(GelView):
             texture, self._focus_mm = optics.texture(texture_rng, TEXTURE_PX, *look), scene.texture.focus_mm
         elif scene.texture is not None and scene.gel.cut:
             rng.uniform(0, TEXTURE_PX[0], 2)
-        camera = GelCamera(sensor_with_gel(scene, seen_by), scene=scene, texture=texture, rng=rng)
+        camera = GelCamera(seen_by, scene=scene, texture=texture, rng=rng)
         super().__init__(camera, state, scene.solver.camera_substeps, timer, second=second)
         self._pads, self._shows_texture = pads, texture is not None
         self._start_m = pads.first.pose[:2].copy()
@@ -149,9 +148,9 @@ class GraspSimulation:
 
         second_optics_rng: for the camera of the second finger, if the plan has one.
         """
+        plan, time = plan.with_gel_of_scene(), plan.scene.time
         assert plan.object is not None
-        time, sensor = plan.scene.time, sensor_with_gel(plan.scene, plan.sensor)
-        self.sampled = sampled = sample_trial(plan.scene, plan.object, sensor, mechanics, plan.object_name)
+        self.sampled = sampled = sample_trial(plan.scene, plan.object, plan.sensor, mechanics, plan.object_name)
         # each part has its own stream, and draws from it only if a scene names the part
         of_hand, of_encoder, of_commands = mechanics.spawn(3)
         self.pads = pads = Pads(plan, sampled, timer)
@@ -168,8 +167,8 @@ class GraspSimulation:
             self.second_view = FingerView(plan, sampled, pads, second_optics_rng, timer, second=True)
         pads.views = (self.view,) if self.second_view is None else (self.view, self.second_view)
         self.second_events: Events | None = None
-        self._friction = self._first_friction = friction_of(sampled)
-        self._change = ChangeOfFriction.of(plan)
+        self._friction = pads.friction
+        self._changes_at, self._changed = friction_after(plan.scene.friction_change, pads.friction)
         self._steps = SolverTruth(pads.first)
         self._is_lifted = plan.scene.kind == "lift"
         self.slices, self.finished = 0, False
@@ -193,8 +192,8 @@ class GraspSimulation:
     def _move(self) -> None:
         """Perform one mechanical step of fingers, gel, object and what supports it."""
         pads = self.pads
-        if self._change is not None:
-            self._friction = self._change.at(self.slices, self._first_friction)
+        if self.slices == self._changes_at:
+            self._friction = self._changed
         force_n = self.finger.move(self.slices)
         pads.press(self.finger.state)
         self.held.catch(self.slices)
@@ -218,7 +217,7 @@ class GraspSimulation:
         the hand's motion.
         """
         static = max(self._friction.static, LEAST_FRICTION)
-        return self.pads.slip_limit_n * self.support.pulls * self._first_friction.static / static
+        return self.pads.slip_limit_n * self.support.pulls * self.pads.friction.static / static
 
     def truth(self) -> dict[str, Any]:
         """Return the ground truth at the end of the last slice, by schema path."""

@@ -19,68 +19,13 @@ from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.adaptive import Slice
 from evetac_cli.sim.scenes.pads import Pads
 from evetac_cli.sim.scenes.shared import GRAVITY_M_S2, STEP_S
+from evetac_cli.sim.setup.held import HandVibration
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import SampledTrial
-from evetac_cli.sim.setup.scene_part import Essential, OfGripper, ScenePart
 
 CONTROLLER_HZ = 125.0  # update rate of the robot controller, for the profile `steps`
 FADE_S = 0.05  # time over which a vibration fades in and out
 GONE_M = 0.02  # an object that slid this far is lost
-
-
-class FreeObject(OfGripper, Essential):
-    """The object that the gripper holds; nothing else guides it."""
-
-    NAME = "free object"
-    KEYS = ("scene.kind",)
-
-
-class OtherMass(ScenePart):
-    """An object that is heavier or lighter than its row says."""
-
-    NAME = "other mass of the object"
-    KEYS = ("scene.object.mass_g",)
-    MEASURED = False
-
-
-class PushesOnObject(ScenePart):
-    """Half-sine pushes on the object, along gravity."""
-
-    NAME = "pushes"
-    KEYS = ("scene.push", "scene.push.lasts_s")
-
-    def __init__(self, plan: Plan, rng: np.random.Generator | None = None) -> None:
-        """Prepare the pushes."""
-        assert plan.scene.push is not None
-        self._push = plan.scene.push
-
-    def force_n(self, now_s: float) -> float:
-        """Return the downward force at a time."""
-        push = self._push
-        forces = [
-            force_n * float(np.sin(np.pi * (now_s - at) / push.lasts_s))
-            for at, force_n in zip(push.at_s, push.force_n, strict=True)
-            if at <= now_s < at + push.lasts_s
-        ]
-        return float(sum(forces))
-
-
-class WeightOnObject(ScenePart):
-    """A weight that lands on the object and stays there."""
-
-    NAME = "falling weight"
-    KEYS = ("scene.drop", "scene.drop.mass_g")
-
-    def __init__(self, plan: Plan, rng: np.random.Generator | None = None) -> None:
-        """Prepare the weight."""
-        assert plan.scene.drop is not None
-        self._drop = plan.scene.drop
-        self._since = round(plan.scene.drop.after_s * SLICES_PER_S)
-
-    def land(self, slice_number: int, pads: Pads, lifted_at: int) -> None:
-        """Let the weight land in its slice; lifted_at: slice in which the balancing phase starts."""
-        if slice_number == lifted_at + self._since:
-            pads.catch(self._drop.mass_g * 1e-3, self._drop.speed_m_s)
 
 
 class HeldObject:
@@ -93,8 +38,9 @@ class HeldObject:
         """Start with the object where the pads hold it."""
         self._pads, self._time = pads, plan.scene.time
         self.start_m = pads.first.pose[:2].copy()
-        self._lifted_at = round((plan.scene.time.touch_s + lift_s) * SLICES_PER_S)
-        self._pushes, self._weight = PushesOnObject.of(plan), WeightOnObject.of(plan)
+        self._pushes, self._drop = plan.scene.push, plan.scene.drop
+        after_s = 0.0 if self._drop is None else self._drop.after_s
+        self._drops_at = round((self._time.touch_s + lift_s) * SLICES_PER_S) + round(after_s * SLICES_PER_S)
 
     @property
     def fallen_m(self) -> float:
@@ -104,8 +50,8 @@ class HeldObject:
 
     def catch(self, slice_number: int) -> None:
         """Let a weight land on the object, if the scene drops one in this slice."""
-        if self._weight is not None:
-            self._weight.land(slice_number, self._pads, self._lifted_at)
+        if self._drop is not None and slice_number == self._drops_at:
+            self._pads.catch(self._drop.mass_g * 1e-3, self._drop.speed_m_s)
 
     def load(self, slice_number: int) -> float:
         """Return the share of the weight on the gripper: handed over smoothly after the rest."""
@@ -116,38 +62,14 @@ class HeldObject:
 
     def push_n(self, slice_number: int) -> float:
         """Return the downward force of the scene's pushes in a slice."""
-        return 0.0 if self._pushes is None else self._pushes.force_n(slice_number * STEP_S)
+        return 0.0 if self._pushes is None else self._pushes.at(slice_number * STEP_S)
 
 
-class TableAndHand(Essential):
-    """The table from which a hand lifts gripper and object."""
-
-    NAME = "table and hand"
-    KEYS = ("scene.hand", "scene.hand.height_mm")
-
-    @classmethod
-    def is_in(cls, plan: Plan) -> bool:
-        """Return whether a plan's object is lifted from a table."""
-        return plan.scene.kind == "lift"
-
-
-class HandProfile(ScenePart):
-    """A profile of the hand's speed that is not a trapezoid."""
-
-    NAME = "profile of the hand's motion"
-    KEYS = ("scene.hand.profile",)
-
-
-class ShakenHand(ScenePart):
+class ShakenHand:
     """Vibration of the robot that carries the gripper."""
 
-    NAME = "vibration of the hand"
-    KEYS = ("scene.hand.vibration", "scene.hand.vibration.frequency_hz")
-
-    def __init__(self, plan: Plan, rng: np.random.Generator | None = None) -> None:
+    def __init__(self, vibration: HandVibration, rng: np.random.Generator) -> None:
         """Draw the random phases."""
-        vibration = plan.scene.hand.vibration
-        assert vibration is not None and rng is not None
         self.only_moving = vibration.only_moving
         self._turning = 2 * np.pi * np.array(vibration.frequency_hz, dtype=np.float64)
         self._swing_m_s = np.array(vibration.acceleration_m_s2, dtype=np.float64) / self._turning
@@ -164,25 +86,6 @@ class ShakenHand(ScenePart):
         return -strength * float((self._swing_m_s * np.cos(self._turning * now_s + self._phase_rad)).sum())
 
 
-class JerkedHand(ScenePart):
-    """A jerk of the hand: half a sine wave of speed, upwards."""
-
-    NAME = "jerk of the hand"
-    KEYS = ("scene.hand.jerk", "scene.hand.jerk.speed_mm_s")
-
-    def __init__(self, plan: Plan, rng: np.random.Generator | None = None) -> None:
-        """Prepare the jerk."""
-        assert plan.scene.hand.jerk is not None
-        self._jerk = plan.scene.hand.jerk
-
-    def speed_m_s(self, now_s: float) -> float:
-        """Return the speed that the jerk adds to the hand's upward speed at a time."""
-        since_s, lasts_s = now_s - self._jerk.at_s, self._jerk.lasts_s
-        if not 0.0 < since_s < lasts_s:
-            return 0.0
-        return self._jerk.speed_mm_s * 1e-3 * math.sin(math.pi * since_s / lasts_s)
-
-
 class Hand:
     """Speed of a hand along gravity, positive upwards, slice by slice."""
 
@@ -196,7 +99,8 @@ class Hand:
         self._starts_for_s = self._fastest_m_s / (settings.acceleration_mm_s2 * 1e-3)
         if self._profile == "s-curve":
             self._starts_for_s *= 0.5 * math.pi  # so that the peak acceleration is the scene's acceleration_mm_s2
-        self._jerk, self._vibration = JerkedHand.of(plan), ShakenHand.of(plan, rng)
+        self._jerk = settings.jerk
+        self._vibration = None if settings.vibration is None else ShakenHand(settings.vibration, rng)
         self._never_moves = settings.is_still
         self.speed_m_s = 0.0
 
@@ -208,7 +112,7 @@ class Hand:
         since_s = now_s - self._rises_at_s
         self.speed_m_s = self._planned_m_s(since_s)
         if self._jerk is not None:
-            self.speed_m_s += self._jerk.speed_m_s(now_s)
+            self.speed_m_s += self._jerk.at(now_s)
         if self._vibration is not None:
             fades_s = now_s
             if self._vibration.only_moving:
@@ -243,7 +147,7 @@ class Support:
         self._after_lost_s = plan.scene.time.after_lost_s
         self._pads, self._held, self._hand = pads, held, Hand(plan, rng)
         self.pulls, self.table_m = 1.0, 0.0
-        self._on_table = TableAndHand.is_in(plan)
+        self._on_table = plan.scene.kind == "lift"
         self._lost_for = 0
 
     def advance(self, slice_number: int, force_n: tuple[float, float], friction: gel.Friction) -> Slice:

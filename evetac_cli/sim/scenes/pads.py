@@ -31,14 +31,14 @@ from evetac_cli.sim.scenes.shared import (
     friction_factor,
     friction_of,
     material,
-    pad,
     press,
     pressure_law,
+    start_gel,
 )
 from evetac_cli.sim.setup.held import SecondFingerSettings
+from evetac_cli.sim.setup.parts import Timer
 from evetac_cli.sim.setup.plan import Plan
-from evetac_cli.sim.setup.sampling import SampledTrial, sensor_with_gel
-from evetac_cli.sim.setup.scene_part import ScenePart, Timer
+from evetac_cli.sim.setup.sampling import SampledTrial
 
 FINGER_STIFFNESS_N_M = 1.8e3  # of the gap, from fingers, links and mounts; fitted to the paper's two bottles
 CLOSING_S, CLOSING_STEPS = 0.5, 10  # time and steps in which a finger closes on a ramp's object, before the trial
@@ -46,34 +46,21 @@ CLOSING_S, CLOSING_STEPS = 0.5, 10  # time and steps in which a finger closes on
 Three = tuple[float, float, float]
 
 
-class SecondFinger(ScenePart):
+class SecondFinger:
     """A second pad: its friction and stiffness relative to the first, its pressure, and its gel."""
-
-    NAME = "second finger of its own"
-    KEYS = ("scene.gripper.second_finger",)
 
     state: gel.GelState
     shares: Floats
 
-    def __init__(self, plan: Plan, rng: np.random.Generator | None = None) -> None:
+    def __init__(self, plan: Plan) -> None:
         """Build the pad; if friction varies over the gel, this pad has its own pattern."""
         settings = plan.scene.gripper.second_finger or SecondFingerSettings()
-        first = sensor_with_gel(plan.scene, plan.sensor)
-        own = self._sensor = first if plan.second is None else sensor_with_gel(plan.scene, plan.second.sensor)
+        first = plan.sensor
+        own = self._sensor = first if plan.second is None else plan.second.sensor
         self._shear_factor = settings.stiffness_factor
         self.stiffness_factor = settings.stiffness_factor * (own.normal_modulus_pa / first.normal_modulus_pa)
         self._friction = settings.friction_factor * (own.static_friction_factor / first.static_friction_factor)
         self.indentation_m = 0.0
-
-    @classmethod
-    def is_in(cls, plan: Plan) -> bool:
-        """Return whether a plan's second finger differs, or has a camera."""
-        return plan.second is not None or plan.scene.gripper.second_finger is not None
-
-    @classmethod
-    def without(cls, plan: Plan) -> Plan:
-        """Return the plan with fingers that mirror each other."""
-        return replace(super().without(plan), second=None)
 
     def start(self, first: gel.GelState) -> gel.GelState:
         """Start the gel, undeformed; it holds the object of the first pad."""
@@ -97,46 +84,39 @@ class Pads:
     """Both pads and the object that they hold; `press` and then `advance` perform a slice.
 
     first: the gel of the first finger, with pose and motion of the object; second: the other pad if it differs. gaps:
-    between object and undeformed gel. curve: force and indentation over the closing of the gripper. views: followed
-    through the steps of a slice.
+    between object and undeformed gel. friction: that of the trial. curve: force and indentation over the closing of the
+    gripper. views: followed through the steps of a slice.
     """
 
     def __init__(self, plan: Plan, sampled: SampledTrial, timer: Timer) -> None:
         """Place the object between undeformed pads, without pressure."""
-        scene, object, sensor = plan.scene, plan.object, sensor_with_gel(plan.scene, plan.sensor)
+        scene, object, sensor = plan.scene, plan.object, plan.sensor
         assert object is not None
-        self._sampled, self._solver = sampled, scene.solver
+        self._sampled, self._solver, self.friction = sampled, scene.solver, friction_of(sampled)
         self.down = 1 if scene.gel.sideways else 0
-        nodes = pad(scene.solver, sensor, cut=scene.gel.cut)
-        upright = np.ascontiguousarray(nodes[..., ::-1]) if self.down else nodes
         width_m, height_m = object.held_mm * 1e-3, object.height_mm * 1e-3
+        mass_kg, (along, across) = sampled.mass_kg, sampled.touch_m
+        middle_m = (across + sampled.lever_m, along) if self.down else (along, across + sampled.lever_m)
+        self.second = SecondFinger(plan) if plan.fingers_differ else None
+        pads = 2 if self.second is None else 1
+        self.first = start_gel(scene, sensor, mass_kg, mass_kg * (height_m**2 + width_m**2) / 12, pads, middle_m)
+        self.friction_factor, self.law = self.first.friction_factor, pressure_law(sampled)
+        nodes, layer = self.first.node_xy_m, self.first.material
+        upright = np.ascontiguousarray(nodes[..., ::-1]) if self.down else nodes
         radius_m = object.width_mm * 0.5e-3
         self.gaps = contact.gap_profile(upright - sampled.touch_m, object.shape, radius_m, sampled.tilt_rad)
-        layer = material(sensor)
         own_stiffness = sensor.gripper.finger_stiffness_n_m
-        self.second = SecondFinger.of(plan)
         self.curve = contact.force_curve(
             self.gaps,
-            sensor.normal_modulus_pa / layer.height_m * contact.cell_area(nodes),
+            sensor.normal_modulus_pa / layer.height_m * self.first.cell_area_m2,
             layer.height_m,
             FINGER_STIFFNESS_N_M if own_stiffness is None else own_stiffness,
             gripper.metres_per_tick(width_m),
             second_stiffness=None if self.second is None else self.second.stiffness_factor,
         )
-        self.friction_factor, self.law = friction_factor(sensor, nodes), pressure_law(sampled)
-        along, across = sampled.touch_m[0], sampled.touch_m[1] + sampled.lever_m
-        self.first = gel.start(
-            nodes,
-            layer,
-            sampled.mass_kg,
-            sampled.mass_kg * (height_m**2 + width_m**2) / 12,
-            2 if self.second is None else 1,
-            body_xy_m=(across, along) if self.down else (along, across),
-            friction_factor=self.friction_factor,
-        )
         second_pad = None if self.second is None else self.second.start(self.first)
         self._states = (self.first,) if second_pad is None else (self.first, second_pad)
-        self.slip_limit_n = self._limit_n(sampled.mass_kg)
+        self.slip_limit_n = self._limit_n(mass_kg)
         self._slices = GelSlices(self.first, self._solver, second_pad, timer)
         self._before = tuple(state.copy() for state in self._states)  # a slice may have to be repeated
         self._pressed_m = math.nan  # indentation for which the shares of the nodes were computed
@@ -192,7 +172,7 @@ class Pads:
         slow = replace(self._solver, theta=1.0)  # no oscillation while the finger closes
         stepper = Stepper(slow, CLOSING_S / CLOSING_STEPS, *self._states[1:])
         end_ticks, end_m, end_n = finger.closing_ticks, finger.indentation_m, finger.force_n
-        friction, before_n = friction_of(self._sampled), 0.0
+        before_n = 0.0
         for step in range(2 * CLOSING_STEPS):
             finger.closing_ticks = end_ticks * min((step + 1) / CLOSING_STEPS, 1.0)
             finger.indentation_m, finger.force_n = (
@@ -203,7 +183,9 @@ class Pads:
             second_shares = None if self.second is None else self.second.shares
             force_n, nothing = (before_n, finger.force_n), (0.0, 0.0, 0.0)
             twist = nothing if step < CLOSING_STEPS else None
-            stepper.advance(self.first, self.shares, force_n, nothing, friction, twist, second_shares=second_shares)
+            stepper.advance(
+                self.first, self.shares, force_n, nothing, self.friction, twist, second_shares=second_shares
+            )
             before_n = finger.force_n
         finger.closing_ticks, finger.indentation_m, finger.force_n = end_ticks, end_m, end_n
 
@@ -223,12 +205,12 @@ class Pads:
     def nodes_of_slip(self, grip: float) -> float:
         """Return half the wavelength of unstable slip at the highest pressure, in nodes; infinity if slip is stable.
 
-        grip: normal force over the slip limit. A recording contains the wavelength for nodes that slipped
-        (truth/slip_half_wavelength_nodes).
+        grip: normal force over the slip limit. The friction is that before the scene changes it. A recording contains
+        the wavelength for nodes that slipped, under the friction at that time (truth/slip_half_wavelength_nodes).
         """
         force_n = grip * self.slip_limit_n
         most_n = force_n * float(self._gripping(force_n, self.curve.indentation_m).max())
-        return gel.slip_half_wavelength_nodes(self.first, friction_of(self._sampled), most_n)
+        return gel.slip_half_wavelength_nodes(self.first, self.friction, most_n)
 
     def _limit_n(self, mass_kg: float) -> float:
         """Return the normal force at which an object of this mass slides or, if it hangs off-centre, turns.

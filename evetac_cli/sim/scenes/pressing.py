@@ -20,23 +20,20 @@ from evetac_cli.events import Events
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera.contact_edges import Outline
 from evetac_cli.sim.camera.gel_camera import GelCamera
-from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.cell_gaps import SAMPLES
 from evetac_cli.sim.scenes.gel_view import GelView
 from evetac_cli.sim.scenes.shared import (
     STEP_S,
-    ChangeOfFriction,
     GelSlices,
     SolverTruth,
-    friction_factor,
+    friction_after,
     friction_of,
-    material,
-    pad,
+    start_gel,
 )
 from evetac_cli.sim.setup.driven import Face, FaceMotion
+from evetac_cli.sim.setup.parts import Timer, untimed
 from evetac_cli.sim.setup.plan import Plan
-from evetac_cli.sim.setup.sampling import sample_trial, sensor_with_gel
-from evetac_cli.sim.setup.scene_part import Timer, untimed
+from evetac_cli.sim.setup.sampling import sample_trial
 
 LONGEST_S = 24 * 3600.0  # the limit of every recording
 NO_HOLE = np.zeros(0)
@@ -79,27 +76,15 @@ class Pressing:
         """Build the parts that a plan names. The camera sees the face's outline, if there is one."""
         assert plan.object is not None
         self._scene = plan.scene
-        sensor = sensor_with_gel(self._scene, plan.sensor)
+        sensor = plan.with_gel_of_scene().sensor
         solver = self._scene.solver
-        self.gel_camera = GelCamera(
-            sensor,
-            scene=self._scene,
-            texture=None,
-            rng=optics_rng,
-            outline=outline,
-            outline_at_px=outline_at_px,
-        )
+        self.gel_camera = GelCamera(sensor, self._scene, None, optics_rng, outline, outline_at_px)
         self.sampled = sample_trial(self._scene, plan.object, sensor, mechanics)
-        nodes = pad(solver, sensor, cut=self._scene.gel.cut)
-        self._material = material(sensor)
-        self._stiffness_n_m3 = sensor.normal_modulus_pa / self._material.height_m
-        varies = friction_factor(sensor, nodes)
-        # the face is driven, so its mass has no effect
-        self._gel = gel.start(nodes, self._material, 1.0, 1.0, pads=1, friction_factor=varies)
-        sampled = self.sampled
+        self._gel = start_gel(self._scene, sensor, 1.0, 1.0)  # the face is driven, so its mass has no effect
+        self._stiffness_n_m3 = sensor.normal_modulus_pa / self._gel.material.height_m
         self._gel_slices = GelSlices(self._gel, solver, timer=timer)
-        self._friction = friction_of(sampled)
-        self._change = ChangeOfFriction.of(plan)
+        self._friction = friction_of(self.sampled)
+        self._changes_at, self._changed = friction_after(self._scene.friction_change, self._friction)
         self._steps = SolverTruth(self._gel)
         self.view = GelView(self.gel_camera, self._gel, solver.camera_substeps, timer)
         self._centre_m, self.timeline = self._plan_motion(mechanics)
@@ -123,7 +108,8 @@ class Pressing:
         """Press on with an offset, then shear to random positions that need at most the scene's shear force."""
         offset_m = rng.uniform(-1.0, 1.0, 2) * motion.offset_mm * 1e-3
         area = self._weights(offset_m).sum() * self._gel.cell_area_m2
-        reach_m = motion.shear_n / (self._material.shear_modulus_pa * area / self._material.height_m)
+        layer = self._gel.material
+        reach_m = motion.shear_n / (layer.shear_modulus_pa * area / layer.height_m)
         entries = [(0.0, np.zeros(2), 0.0), (self._scene.time.rest_s, np.zeros(2), 0.0)]
         entries.append((entries[-1][0] + motion.press_s, np.zeros(2), motion.normal_n))
         for _ in range(motion.count):
@@ -172,15 +158,16 @@ class Pressing:
         borne = self._borne(self._covered)
         force_n = borne * hand_n
         twist = ((x_m - x_before_m) / STEP_S, (y_m - y_before_m) / STEP_S, 0.0)
-        friction = self._friction if self._change is None else self._change.at(self.slices, self._friction)
+        if self.slices == self._changes_at:
+            self._friction = self._changed
         ends_n = (borne * before_n, force_n)
-        done = self._gel_slices.advance(self._shares, ends_n, (0.0, 0.0, 0.0), friction, twist, self.view.begin())
+        done = self._gel_slices.advance(self._shares, ends_n, (0.0, 0.0, 0.0), self._friction, twist, self.view.begin())
         still = self._gel_slices.still_for > 0 and hand_n == before_n
         self._hand_n = hand_n
         if not still:
             self._xy_m, self._force_n = xy_m, force_n if self._covered > 0 else 0.0
             self._shear_n = done.friction_n[:2]
-            self._steps.follow(done, friction)
+            self._steps.follow(done, self._friction)
             self.view.press(self._depth_m())
             self.view.show(self._xy_m, 0.0)
         self.view.follow(self._shares, self._force_n, self._gel_slices.still_for)

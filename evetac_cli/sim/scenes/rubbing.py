@@ -13,9 +13,9 @@ from evetac_cli.arrays import Floats
 from evetac_cli.events import FRAME_PX
 from evetac_cli.sim.camera import contact_edges
 from evetac_cli.sim.scenes.pressing import NO_HOLE, Pressing, Timeline, covered, timeline
+from evetac_cli.sim.setup.parts import Timer, untimed
 from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.sampling import SampledTrial
-from evetac_cli.sim.setup.scene_part import Timer, untimed
 
 SIZES_PX = {"finger": (250.0, 180.0), "handle": (260.0, 150.0)}  # size along x and y
 THICK_PX = {"finger": None, "handle": 40.0}  # width of the ring; None: no hole

@@ -14,10 +14,9 @@ from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
 from evetac_cli.sim.gel.cell_gaps import CellGaps
 from evetac_cli.sim.gel.friction import PressureLaw, varied
-from evetac_cli.sim.setup.plan import Plan
+from evetac_cli.sim.setup.parts import GEL, Timer, untimed
 from evetac_cli.sim.setup.sampling import SampledTrial
-from evetac_cli.sim.setup.scene import Solver
-from evetac_cli.sim.setup.scene_part import Essential, OfGripper, ScenePart, Timer, untimed
+from evetac_cli.sim.setup.scene import FrictionChange, Scene, Solver
 from evetac_cli.sim.setup.sensor import PAD_M, Sensor
 
 STEP_S = 1e-3  # duration of a slice
@@ -26,96 +25,6 @@ GRAVITY_M_S2 = 9.81
 FRICTION_SEED = 15485867  # with a sensor's seed: where on its gel friction is higher or lower
 
 LOSS_AT_HZ = 100.0  # frequency of a sensor's loss_tangent
-
-
-class GelAndFriction(Essential):
-    """The gel as a layer of springs on nodes, and its friction."""
-
-    NAME = "gel and friction"
-    KEYS = (
-        *("sensor.shear_modulus_pa", "sensor.normal_modulus_pa"),
-        *("scene.randomise.static_friction", "scene.randomise.memory_um"),
-        *("scene.solver.node_pitch_mm", "scene.solver.tolerance_um", "scene.solver.step_ms"),
-    )
-
-    @classmethod
-    def is_in(cls, plan: Plan) -> bool:
-        """Return whether something can slip; a speaker sticks to the gel."""
-        return plan.scene.tone is None
-
-
-class VaryingFriction(ScenePart):
-    """Friction that varies over the gel's surface; see `friction_factor`."""
-
-    NAME = "friction that varies over the gel"
-    KEYS = ("sensor.friction.patch_spread", "sensor.friction.patch_mm")
-
-    @classmethod
-    def is_in(cls, plan: Plan) -> bool:
-        """Return whether a plan's gel has friction that varies."""
-        return GelAndFriction.is_in(plan) and bool(plan.sensor.friction.patch_spread)
-
-
-class FrictionOverPressure(OfGripper):
-    """Friction that grows less than in proportion to pressure; see gel/friction."""
-
-    NAME = "friction over pressure"
-    KEYS = ("sensor.friction.pressure_exponent", "scene.randomise.pressure_exponent")
-    MEASURED = True
-
-    @classmethod
-    def is_in(cls, plan: Plan) -> bool:
-        """Return whether a plan's friction depends on pressure; the sensor's own exponent comes first."""
-        own = plan.sensor.friction.pressure_exponent
-        return plan.scene.is_gripped and (plan.scene.randomise.pressure_exponent[1] if own is None else own) > 0.0
-
-
-class SlowCreep(ScenePart):
-    """Creep of the gel under a load that stays."""
-
-    NAME = "slow creep"
-    KEYS = ("sensor.creep.share", "sensor.creep.time_s")
-
-
-class TouchingObject(Essential):
-    """The object, face, hand or speaker that touches the gel."""
-
-    NAME = "what touches"
-    KEYS = (
-        *("scene.kind", "scene.face", "scene.rub", "scene.rub.objects"),
-        *("scene.tone", "scene.tone.frequency_hz"),
-    )
-
-
-class ChangeOfFriction(ScenePart):
-    """Static and kinetic friction of the whole contact change at once, as if it reached a wet patch."""
-
-    NAME = "change of friction"
-    KEYS = ("scene.friction_change.at_s", "scene.friction_change.factor")
-
-    def __init__(self, plan: Plan, rng: np.random.Generator | None = None) -> None:
-        """Prepare the change."""
-        change = plan.scene.friction_change
-        assert change is not None
-        self._factor, self._changes_at = change.factor, round(change.at_s * SLICES_PER_S)
-        self._changed: gel.Friction | None = None
-
-    def at(self, slice_number: int, friction: gel.Friction) -> gel.Friction:
-        """Return the friction in a slice, from the trial's friction at its start."""
-        if slice_number < self._changes_at:
-            return friction
-        if self._changed is None:
-            static, kinetic = friction.static * self._factor, friction.kinetic * self._factor
-            self._changed = replace(friction, static=static, kinetic=kinetic)
-        return self._changed
-
-
-class OtherStiffness(ScenePart):
-    """A gel that is stiffer or softer than the sensor's."""
-
-    NAME = "other stiffness of the gel"
-    KEYS = ("scene.gel.stiffness_factor",)
-    MEASURED = False
 
 
 def pad(solver: Solver, sensor: Sensor, *, cut: bool) -> NDArray[np.float64]:
@@ -155,11 +64,37 @@ def material(sensor: Sensor) -> gel.GelMaterial:
     return replace(usual, viscous_time_s=viscous_time_s)
 
 
+def start_gel(
+    scene: Scene,
+    sensor: Sensor,
+    mass_kg: float,
+    inertia_kg_m2: float,
+    pads: int = 1,
+    body_xy_m: tuple[float, float] = (0.0, 0.0),
+) -> gel.GelState:
+    """Return the undeformed gel of a sensor in a scene, and an object at rest on it, as from `gel.start`."""
+    nodes = pad(scene.solver, sensor, cut=scene.gel.cut)
+    varies = friction_factor(sensor, nodes)
+    body = (mass_kg, inertia_kg_m2, pads)
+    return gel.start(nodes, material(sensor), *body, body_xy_m=body_xy_m, friction_factor=varies)
+
+
 def friction_of(sampled: SampledTrial) -> gel.Friction:
     """Return the friction of a trial."""
     return gel.Friction(
         sampled.static_friction, sampled.kinetic_friction, sampled.stribeck_m_s, sampled.friction_memory_m
     )
+
+
+def friction_after(change: FrictionChange | None, friction: gel.Friction) -> tuple[int, gel.Friction]:
+    """Return the slice in which the friction of the whole contact changes, and the friction from then on.
+
+    It changes at once, as if the contact reached a wet patch; the slice is -1 if it never changes.
+    """
+    if change is None:
+        return -1, friction
+    static, kinetic = friction.static * change.factor, friction.kinetic * change.factor
+    return round(change.at_s * SLICES_PER_S), replace(friction, static=static, kinetic=kinetic)
 
 
 def friction_factor(sensor: Sensor, node_xy_m: Floats, finger: int = 0) -> Floats | None:
@@ -212,7 +147,7 @@ class GelSlices:
         """Start with a pad, and the second finger's pad if it does not mirror the first (see `Stepper`)."""
         self._gel = pad_state
         self._pads = (pad_state,) if second is None else (pad_state, second)
-        self._advance = timer(GelAndFriction.NAME, Stepper(solver, second=second).advance)
+        self._advance = timer(GEL.name, Stepper(solver, second=second).advance)
         self._least_steps = solver.fixed_steps or 1  # steps of a slice that needs no refinement
         self._done = Slice()
         self._acting: tuple[Any, ...] = ()

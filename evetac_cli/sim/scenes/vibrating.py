@@ -29,16 +29,14 @@ from numpy.typing import NDArray
 from evetac_cli.arrays import Floats
 from evetac_cli.events import SLICE_US, SLICES_PER_S, Events
 from evetac_cli.kernels.gel_layer import Squeeze, moved_by
-from evetac_cli.sim.camera.camera_parts import Camera
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.gel import dots
 from evetac_cli.sim.gel.contact import cell_area, pad_nodes
 from evetac_cli.sim.gel.gel import GelMaterial
 from evetac_cli.sim.scenes.shared import material
 from evetac_cli.sim.scenes.true_slip import NO_SLIP
+from evetac_cli.sim.setup.parts import CAMERA, Timer, untimed
 from evetac_cli.sim.setup.plan import Plan
-from evetac_cli.sim.setup.sampling import sensor_with_gel
-from evetac_cli.sim.setup.scene_part import Timer, untimed
 
 ORDERS = np.array([0.5, 1.0, 1.5, 2.0, 2.5])  # frequencies of the surface's waves, as multiples of the tone
 FADE_S = 0.02  # the tone fades in and out over this time, because its response is the stationary one
@@ -172,10 +170,10 @@ class Vibration:
         """Build the parts that a plan names."""
         scene, tone = plan.scene, plan.scene.tone
         assert tone is not None and plan.tone_hz is not None
-        sensor = sensor_with_gel(scene, plan.sensor)
+        sensor = plan.with_gel_of_scene().sensor
         self._time = scene.time
         self.gel_camera = GelCamera(sensor, scene=scene, texture=None, rng=optics_rng)
-        self._render = timer(Camera.NAME, self.gel_camera.render)
+        self._render = timer(CAMERA.name, self.gel_camera.render)
         layer = material(sensor)
         radius_m = tone.radius_mm * 1e-3
         offset_m = mechanics.uniform(-1.0, 1.0, 2) * tone.offset_mm * 1e-3
@@ -190,7 +188,8 @@ class Vibration:
         direction = np.array([np.cos(direction_rad), np.sin(direction_rad)])
         self._sideways = aside @ direction
         amplitude_m = factor * tone.at(tone.dot_motion_px, self._hz) * self.gel_camera.mm_per_px * 1e-3
-        self._amplitude_m = amplitude_m / self._motion_per_metre()
+        motion = self._shift + self._sideways * self._along[1]  # by the tone alone, per metre of the surface's
+        self._amplitude_m = amplitude_m / float(np.sqrt((np.abs(motion) ** 2).sum(axis=1).mean()))
         # shear force per motion along the surface, with the gel around the disc, and indentation per normal force
         area_m2 = math.pi * radius_m**2
         self._shear_n_m = layer.shear_modulus_pa * (answer_m @ direction)
@@ -216,18 +215,15 @@ class Vibration:
         self.slices_in_all = round(SLICES_PER_S * whole_s)
         self.finished = False
 
-    def _motion_per_metre(self) -> float:
-        """Return the rms over the dots of their motion by the tone alone, per metre of the surface's amplitude."""
-        motion = self._shift + self._sideways * self._along[1]
-        return float(np.sqrt((np.abs(motion) ** 2).sum(axis=1).mean()))
-
     def step(self) -> Events:
         """Advance by one slice and return its events; sets `finished` with the last one."""
         first = self.slices % BLOCK * self._pieces
         if first == 0:
             self._start_block()
         end = first + self._pieces
-        path_m = self._paths(slice(first, end + 1))
+        columns = (self._block.depth_m, self._block.along_m)
+        depth_m, along_m = (column[first : end + 1, None, None] for column in columns)
+        path_m = depth_m * self._shift + along_m * self._sideways  # of the dots, (times, dots, 2)
         events = self._render(path_m[-1], np.zeros(2), 0.0, self.slices * SLICE_US, path_m)
         self._now = SpeakerMotion(*(column[end] for column in self._block))
         self.slices += 1
@@ -255,12 +251,6 @@ class Vibration:
         moving = waves(h2, m, self.sampled.subharmonic_phase_rad) * turns * amplitude_m[:, None]
         depth_m = force_n * self._depth_m_n + moving.sum(axis=1).real
         return SpeakerMotion(force_n, depth_m, (moving @ self._along).real, amplitude_m, h2, m)
-
-    def _paths(self, at: slice) -> Floats:
-        """Return the displacement (times, dots, 2) of the dots, in m, at some of the block's times."""
-        depth_m, along_m = (column[at, None, None] for column in (self._block.depth_m, self._block.along_m))
-        paths: Floats = depth_m * self._shift + along_m * self._sideways
-        return paths
 
     def truth(self) -> dict[str, Any]:
         """Return the ground truth at the end of the last slice, by schema path."""

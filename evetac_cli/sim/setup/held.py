@@ -1,5 +1,6 @@
 """Settings of the gripper and the hand of a scene, and of the disturbances that act on the held object."""
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
@@ -34,6 +35,13 @@ class HandJerk(Table):
     speed_mm_s: Annotated[float, Meta(ge=-1000, le=1000)]
     #: duration of the pulse
     lasts_s: Annotated[float, Meta(ge=0.002, le=10)]
+
+    def at(self, now_s: float) -> float:
+        """Return the speed that the jerk adds to the hand's upward speed at a time, in m/s."""
+        since_s = now_s - self.at_s
+        if not 0.0 < since_s < self.lasts_s:
+            return 0.0
+        return self.speed_mm_s * 1e-3 * math.sin(math.pi * since_s / self.lasts_s)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,6 +220,15 @@ class Pushes(Table):
     force_n: Annotated[tuple[Annotated[float, Meta(ge=-100, le=100)], ...], Meta(max_length=1000)]
 
     COLUMNS: ClassVar = ("at_s", "force_n")
+
+    def at(self, now_s: float) -> float:
+        """Return the force along gravity at a time, in N."""
+        forces = [
+            force_n * float(np.sin(np.pi * (now_s - at) / self.lasts_s))
+            for at, force_n in zip(self.at_s, self.force_n, strict=True)
+            if at <= now_s < at + self.lasts_s
+        ]
+        return float(sum(forces))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -71,6 +71,24 @@ class Plan:
     sensor_ranges: SensorRanges | None = None
     second: "NamedSensor | None" = None
 
+    @property
+    def fingers_differ(self) -> bool:
+        """Whether the second finger differs from the first, or has a camera."""
+        return self.second is not None or self.scene.gripper.second_finger is not None
+
+    def of_gripper(self, key: str) -> float:
+        """Return a value of the gripper: the scene's, or that of the sensor's gripper if the scene leaves it out."""
+        of_scene = getattr(self.scene.gripper, key)
+        return float(getattr(self.sensor.gripper, key) if of_scene is None else of_scene)
+
+    def with_gel_of_scene(self) -> "Plan":
+        """Return the plan with sensors whose gel is stiffer by the scene's gel.stiffness_factor."""
+        factor, second = self.scene.gel.stiffness_factor, self.second
+        if factor == 1.0:
+            return self
+        second = None if second is None else second._replace(sensor=second.sensor.stiffer(factor))
+        return replace(self, sensor=self.sensor.stiffer(factor), second=second)
+
     def parameters(self) -> dict[str, Any]:
         """Return the plan as it enters a recipe, so that a changed table gives another recipe."""
         values: dict[str, Any] = {
@@ -98,6 +116,10 @@ def read_plan(parameters: Mapping[str, Any], where: str) -> Plan:
             found = f"{parameters.get(key)}"[:100]
             raise InputError("the header has no plan of a simulated trial", where=where, expected=key, found=found)
     scene, row, tone_hz = parameters["scene"], parameters.get("object_row"), parameters.get("tone_hz")
+    second = parameters.get(SECOND_ROW)
+    if second is not None:
+        second = read_table(Sensor, second, f"{where}: second sensor in the header")
+        second = NamedSensor(str(parameters.get(SECOND_SENSOR)), second)
     if isinstance(scene.get("tone"), dict):
         scene = {**scene, "tone": {"frequency_hz": [tone_hz], **scene["tone"]}}
     if row is not None:
@@ -110,16 +132,8 @@ def read_plan(parameters: Mapping[str, Any], where: str) -> Plan:
         row,
         tone_hz,
         parameters.get("sensor_ranges"),
-        _read_second(parameters, where),
+        second,
     )
-
-
-def _read_second(parameters: Mapping[str, Any], where: str) -> "NamedSensor | None":
-    """Read the second finger's sensor from the parameters of a header; None if the second finger had no camera."""
-    name, row = parameters.get(SECOND_SENSOR), parameters.get(SECOND_ROW)
-    if row is None:
-        return None
-    return NamedSensor(str(name), read_table(Sensor, row, f"{where}: second sensor in the header"))
 
 
 def read_sensor(parameters: Mapping[str, Any], where: str) -> Sensor:
@@ -148,18 +162,16 @@ class PlanTemplate:
 
     def of_trial(self, seeds: Sequence[int] = ()) -> Plan:
         """Return the plan of the trial with these seeds, which matter only if each trial samples its own sensor."""
-        sensor, ranges = self.sensor, None
-        if not isinstance(sensor, Sensor):
-            ranges = sensor
-            sensor = sampling.sample_sensor(ranges, np.random.default_rng([SENSOR_SEED, *seeds]))
-        second = None
-        if self.second is not None:
-            name, other = self.second
-            if not isinstance(other, Sensor):
-                other = sampling.sample_sensor(other, np.random.default_rng([SENSOR_SEED, *seeds, SECOND]))
-            second = NamedSensor(name, other)
-        of_scene = (self.scene, self.sensor_name, sensor, self.object_name, self.object, self.tone_hz)
-        return Plan(*of_scene, ranges, second)
+        of_scene = (self.scene, self.sensor_name, _sampled(self.sensor, *seeds))
+        ranges = None if isinstance(self.sensor, Sensor) else self.sensor
+        second = self.second and NamedSensor(self.second[0], _sampled(self.second[1], *seeds, SECOND))
+        return Plan(*of_scene, self.object_name, self.object, self.tone_hz, ranges, second)
+
+
+def _sampled(sensor: Sensor | SensorRanges, *seeds: int) -> Sensor:
+    if isinstance(sensor, Sensor):
+        return sensor
+    return sampling.sample_sensor(sensor, np.random.default_rng([SENSOR_SEED, *seeds]))
 
 
 def plans(

@@ -10,7 +10,7 @@ value.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -110,18 +110,6 @@ def sample_trial(
 def _first(*values: float | None) -> float:
     """Return the first value that is not None."""
     return next(value for value in values if value is not None)
-
-
-def sensor_with_gel(scene: Scene, sensor: Sensor) -> Sensor:
-    """Return a sensor whose gel is stiffer, in shear and under pressure, by the scene's gel.stiffness_factor."""
-    factor = scene.gel.stiffness_factor
-    if factor == 1.0:
-        return sensor
-    return replace(
-        sensor,
-        shear_modulus_pa=sensor.shear_modulus_pa * factor,
-        normal_modulus_pa=sensor.normal_modulus_pa * factor,
-    )
 
 
 def sample_sensor(ranges: SensorRanges, rng: np.random.Generator) -> Sensor:

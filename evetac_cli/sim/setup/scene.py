@@ -241,6 +241,22 @@ class LightSettings(Table):
 
     NOT_EMPTY: ClassVar = True
 
+    @property
+    def depth(self) -> float:
+        """Return the depth of the flicker; 0 without."""
+        return 0.0 if self.flicker is None else self.flicker.depth
+
+    def flicker_level(self, time_us: float) -> float:
+        """Return what the flicker adds to log brightness at a time."""
+        if self.flicker is None:
+            return 0.0
+        return math.log1p(self.depth * math.sin(2e-6 * math.pi * self.flicker.frequency_hz * time_us))
+
+    def step_level(self, time_us: float) -> float:
+        """Return what the step adds to log brightness at a time."""
+        step = self.step
+        return 0.0 if step is None or time_us < step.at_s * 1e6 else math.log(step.factor)
+
 
 @dataclass(frozen=True, kw_only=True)
 class VanishingDots(Table):

@@ -4,7 +4,7 @@ Values that a sensor leaves out are those fitted to the paper's figures (sim/gel
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
@@ -231,6 +231,20 @@ class Sensor(Table):
     static_friction_factor: Annotated[float, Meta(ge=0.01, le=100)] = 1.0
     friction: GelFriction = GelFriction()
     gripper: SensorGripper = SensorGripper()
+
+    @property
+    def is_slow_in_dark(self) -> bool:
+        """Whether the pixels are slow, and slower in the dark."""
+        return self.bandwidth_hz > 0.0 and self.bandwidth_by_light
+
+    def stiffer(self, factor: float) -> "Sensor":
+        """Return the sensor with a gel that is stiffer by a factor, in shear and under pressure."""
+        shear_pa, normal_pa = self.shear_modulus_pa * factor, self.normal_modulus_pa * factor
+        return replace(self, shear_modulus_pa=shear_pa, normal_modulus_pa=normal_pa)
+
+    def has_dark_cut(self, *, cut: bool) -> bool:
+        """Return whether the edge of the gel next to the window is visible; only a cut gel has one."""
+        return cut and self.cut_contrast > 0.0
 
     def pad_m(self, *, cut: bool) -> tuple[float, float, float, float]:
         """Return the borders x0, y0, x1, y1 of the pad, in m from the frame's middle.

@@ -14,7 +14,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, SLICES_PER_S, Events
 from evetac_cli.kernels.grip.control import Control, SlipSignal, both_fingers
 from evetac_cli.kernels.grip.paper import GraspPhase
-from evetac_cli.sim.setup.scene_part import Timer, untimed
+from evetac_cli.sim.setup.parts import Timer, untimed
 
 if TYPE_CHECKING:
     from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector

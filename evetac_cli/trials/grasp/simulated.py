@@ -14,7 +14,7 @@ from evetac_cli.devices import Rig
 from evetac_cli.events import Events
 from evetac_cli.jobs import Outcome, Progress, outcome, silent
 from evetac_cli.sim import grasp_outcome
-from evetac_cli.sim.setup.scene_part import Timer, untimed
+from evetac_cli.sim.setup.parts import Timer, untimed
 from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.trial_writer import TrialBuffer

@@ -16,8 +16,8 @@ from evetac_cli.devices import Gripper, Rig, gripper_row
 from evetac_cli.events import SLICES_PER_S, Events
 from evetac_cli.jobs import Outcome, Progress, outcome
 from evetac_cli.sim.setup.held import GripperCurrent
+from evetac_cli.sim.setup.parts import Timer, untimed
 from evetac_cli.sim.setup.scene import Scene
-from evetac_cli.sim.setup.scene_part import Timer, untimed
 from evetac_cli.store.files import up_to_date
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.segments import refuse_leftover

@@ -42,8 +42,8 @@ from evetac_cli.sim import grasp_outcome
 from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.setup.held import FallingWeight, HandJerk
 from evetac_cli.sim.setup.object_file import TouchedObject
+from evetac_cli.sim.setup.parts import untimed
 from evetac_cli.sim.setup.plan import Plan, first_plan
-from evetac_cli.sim.setup.scene_part import untimed
 from evetac_cli.store.recordings.trial_writer import TrialBuffer
 from evetac_cli.trials.grasp.loop import grasp_slices
 from evetac_cli.trials.grasp.settings import GraspSettings

@@ -17,7 +17,7 @@ from evetac_cli.kernels.grip.control import LAWS
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.training import ADAPT, PRESETS
 from evetac_cli.kernels.tracking import presets
-from evetac_cli.sim.parts import PARTS
+from evetac_cli.sim.setup.parts import PARTS
 from evetac_cli.store.layout import schema
 from scripts.docs import check_site, command_pages, page_text, pages
 from tests import small_files
@@ -89,7 +89,7 @@ def test_every_name_has_a_section(every: dict[str, str], page: str, names: set[s
 
 def test_every_part_has_a_section_and_keys(every: dict[str, str]) -> None:
     """Assert that parts of scenes and sensors have sections, whose keys are those of the schemas."""
-    assert {part.NAME for part in PARTS} - headings(every["parts.md"]) == set()
+    assert {part.name for part in PARTS} - headings(every["parts.md"]) == set()
     assert "| `leak_hz` | sensor | leak events per second of every pixel | 0 to 10 |" in every["parts.md"]
     assert "| `drop.mass_g` |" in every["scene-keys.md"]
     assert "| `creep.share` |" in every["sensors.md"]

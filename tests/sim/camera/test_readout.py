@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from evetac_cli.events import Events, concatenate
 from evetac_cli.sim.camera.readout import event_key, sorted_columns
 from evetac_cli.sim.camera.scanning import camera
-from evetac_cli.sim.camera.scanning.light import LightChange
+from evetac_cli.sim.setup.scene import LightSettings, LightStep
 from tests.sim.camera.small_frames import FRAME, QUIET, line, play, start
 
 DOTS = [[30.0, 40.0]]
@@ -24,7 +24,7 @@ def limited(events_per_s: float) -> camera.CameraModel:
 def flash(events_per_s: float | None, slices: int = 20) -> tuple[camera.CameraState, list[Events]]:
     """A light that becomes ten times as bright at 2 ms: an event of every pixel."""
     model = dataclasses.replace(QUIET, events_per_s=events_per_s)
-    change = LightChange(step_at_s=0.002, step_factor=10.0)
+    change = LightSettings(step=LightStep(at_s=0.002, factor=10.0))
     state = camera.start(model, DOTS, None, np.random.default_rng(0), light_change=change)
     return state, play(state, line(DOTS, 0.0), slices)
 

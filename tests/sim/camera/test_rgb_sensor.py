@@ -42,13 +42,9 @@ def test_noise() -> None:
 
 
 def test_nonsense_is_refused() -> None:
-    """Assert that a radius of nothing and a camera without time or light are refused."""
-    rng = np.random.default_rng(0)
+    """Assert that a radius of nothing is refused."""
     with pytest.raises(ValueError, match="radius"):
-        frame(SILENT, [[0, 0]], 0.0, rng)
-    for bad in ({"noise_grey": -1.0}, {"gel_grey": 0.0}, {"frame_ms": 0}):
-        with pytest.raises(ValueError, match=next(iter(bad))):
-            RgbCamera(**bad)  # type: ignore[arg-type]
+        frame(SILENT, [[0, 0]], 0.0, np.random.default_rng(0))
 
 
 def drawn(dots: np.ndarray, radius_px: float = 7.5) -> np.ndarray:

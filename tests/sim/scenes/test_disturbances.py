@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from evetac_cli.devices.simulated import rig
 from evetac_cli.sim.scenes import pads
-from evetac_cli.sim.scenes.finger_drive import Backlash, Command, EncoderNoise, LateCommands
+from evetac_cli.sim.scenes.finger_drive import Command, LateCommands
 from evetac_cli.sim.scenes.gripped import GraspSimulation
-from evetac_cli.sim.scenes.held_object import JerkedHand
 from evetac_cli.sim.scenes.pressing import Pressing
 from evetac_cli.sim.scenes.shared import GRAVITY_M_S2
 from evetac_cli.sim.setup import sampling
+from evetac_cli.sim.setup.parts import PARTS
 from evetac_cli.sim.setup.sensor import GelFriction, SensorGripper
 from tests.make import play_trial
 from tests.sim.scenes.trials import NONE, Changes, grasp_of, quiet_plan
@@ -57,8 +57,9 @@ def test_friction_to_a_tenth_lets_go() -> None:
 def test_jerk_of_the_hand() -> None:
     """Assert that half a sine of speed V and time T raises the hand by 2 V T / pi: what stands on the table sinks."""
     jerk = {"hand": {"jerk": {"at_s": 0.1, "speed_mm_s": 80.0, "lasts_s": 0.05}}}
-    hand = JerkedHand(quiet_plan("lift", jerk))
-    raised_mm = sum(hand.speed_m_s(now) for now in np.arange(1, 400) * 1e-3)
+    hand = quiet_plan("lift", jerk).scene.hand.jerk
+    assert hand is not None
+    raised_mm = sum(hand.at(now) for now in np.arange(1, 400) * 1e-3)
     assert raised_mm == pytest.approx(2 * 80.0 * 0.05 / math.pi, rel=1e-3)
     sunk_mm = []
     for changes in (NONE, jerk):
@@ -132,16 +133,15 @@ def test_faults_of_a_gripper() -> None:
     planned = quiet_plan("slip", {"gripper": {"backlash_ticks": 0.0}})
     own = SensorGripper(backlash_ticks=1.0, command_delay_ms=3.0)
     planned = replace(planned, sensor=replace(planned.sensor, gripper=own))
-    assert [part.values(planned) for part in (Backlash, LateCommands, EncoderNoise)] == [[0.0], [3.0, 0.0], [0.0]]
-    assert [part.is_in(planned) for part in (Backlash, LateCommands, EncoderNoise)] == [False, True, False]
+    keys = ("backlash_ticks", "command_delay_ms", "command_jitter_ms", "encoder_noise_ticks")
+    assert [planned.of_gripper(key) for key in keys] == [0.0, 3.0, 0.0, 0.0]
+    named = ("backlash of the gripper", "commands that come late", "noise of the gripper's encoder")
+    assert [part.name for part in PARTS if part.name in named and part.is_in(planned)] == ["commands that come late"]
 
 
 def late_commands(first: Command, delay_ms: float, jitter_ms: float) -> LateCommands:
     """Commands that are delayed, with one in effect."""
-    late = {"command_delay_ms": delay_ms, "command_jitter_ms": jitter_ms}
-    made = LateCommands(quiet_plan("slip", {"gripper": late}), np.random.default_rng(3))
-    made.start(first)
-    return made
+    return LateCommands(delay_ms, jitter_ms, first, np.random.default_rng(3))
 
 
 @pytest.mark.parametrize(("delay", "jitter"), [(0.0, 0.0), (3.0, 0.0), (2.5, 0.0), (0.0, 6.0), (1.0, 20.0)])

@@ -21,7 +21,6 @@ from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.cell_gaps import MEAN
 from evetac_cli.sim.scenes import gripped
 from evetac_cli.sim.scenes.gripped import GraspSimulation
-from evetac_cli.sim.scenes.held_object import PushesOnObject
 from evetac_cli.sim.scenes.shared import GRAVITY_M_S2, material
 from evetac_cli.sim.setup import sampling
 from evetac_cli.sim.setup.plan import first_plan, one_sensor
@@ -200,10 +199,10 @@ def test_pushes_and_grip_of_the_data_rate_scene() -> None:
     planned = first_plan("data-rate", "18")
     pushed = grasp_of(planned)
     push, drive = planned.scene.push, pushed.finger.drive
-    lasts_s, pushes = push.lasts_s, PushesOnObject(planned)
+    lasts_s = push.lasts_s
     for after_s, share in ((-1e-3, 0.0), (lasts_s / 4, np.sqrt(0.5)), (lasts_s / 2, 1.0), (lasts_s + 1e-3, 0.0)):
         for at_s, force_n in zip(push.at_s, push.force_n, strict=True):
-            assert pushes.force_n(at_s + after_s) == pytest.approx(share * force_n, abs=1e-9)
+            assert push.at(at_s + after_s) == pytest.approx(share * force_n, abs=1e-9)
     force_n = (drive.force_per_current_n_ma * pushed.finger.holding_ma - drive.friction_n) / (1 + drive.friction_share)
     assert 0.0 <= force_n - planned.scene.gripper.start_n <= drive.force_per_current_n_ma  # whole mA
     assert pushed.finger.holding_ma == grasp_of(first_plan("data-rate", "1")).finger.holding_ma > 50

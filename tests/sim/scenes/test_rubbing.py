@@ -8,8 +8,8 @@ import pytest
 
 from evetac_cli.devices.simulated import rig
 from evetac_cli.evaluate.stability.cases import merge
-from evetac_cli.sim.parts import rows_of
 from evetac_cli.sim.scenes.rubbing import Rubbing
+from evetac_cli.sim.setup.parts import rows_of
 from evetac_cli.sim.setup.plan import first_plan
 from tests.make import play_trial
 

@@ -9,9 +9,9 @@ import pytest
 
 from evetac_cli.errors import SceneError
 from evetac_cli.resources import SCENES
-from evetac_cli.sim.parts import PARTS
 from evetac_cli.sim.setup import scene_file
 from evetac_cli.sim.setup.driven import Face
+from evetac_cli.sim.setup.parts import PARTS
 from evetac_cli.sim.setup.plan import first_plan
 from evetac_cli.sim.setup.scene import LightSettings, LightStep, Solver, with_given
 from evetac_cli.sim.setup.tables import as_table

@@ -35,7 +35,7 @@ from evetac_cli.sim.camera.noise import HotPixels, Noise, add_noise, hot_rates
 from evetac_cli.sim.camera.optics import DotShapes, alike, dot_shapes, shaped_level
 from evetac_cli.sim.camera.readout import Readout, sorted_columns
 from evetac_cli.sim.camera.scanning.dots import scan_dots
-from evetac_cli.sim.camera.scanning.light import Light, LightChange
+from evetac_cli.sim.camera.scanning.light import Light
 from evetac_cli.sim.camera.scanning.lines import scan_lines
 from evetac_cli.sim.camera.scanning.pixel_culling import rests
 from evetac_cli.sim.camera.scanning.pixels import (
@@ -50,6 +50,7 @@ from evetac_cli.sim.camera.scanning.pixels import (
     window_pixels,
 )
 from evetac_cli.sim.camera.scanning.window import scan_window
+from evetac_cli.sim.setup.scene import LightSettings
 from evetac_cli.sim.setup.sensor import HotPixelTable
 
 # No pixel's threshold is below this share of the nominal threshold, however large the mismatch.
@@ -171,7 +172,7 @@ def start(
     rng: np.random.Generator,
     camera_rng: np.random.Generator | None = None,
     contact_edges: ContactEdges | None = None,
-    light_change: LightChange | None = None,
+    light_change: LightSettings | None = None,
     dots_differ: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> CameraState:
     """Start the camera in front of dots (dots, 2); draw thresholds, hot pixels, and a phase for every pixel.
@@ -199,9 +200,10 @@ def start(
         radii, contrasts = (np.broadcast_to(np.asarray(factors, np.float64), len(dots)) for factors in dots_differ)
         shapes = dot_shapes(profile, radius_px * (radii - 1.0), contrasts)
         profile = profile._replace(inner_px=float(shapes.inner_px.min()), outer_px=float(shapes.outer_px.max()))
-    window_px, texture = (None, None) if window is None else window
-    x0, y0, x1, y1 = camera_input.window_corners(window_px, model.frame_px)
-    pattern = camera_input.window_texture(texture)
+    (x0, y0, x1, y1), texture = ((0, 0, 0, 0), None) if window is None else window
+    pattern = np.zeros((1, 1), np.float32) if texture is None else np.ascontiguousarray(texture, np.float32)
+    assert 0 <= x0 <= x1 <= width and 0 <= y0 <= y1 <= height
+    assert np.isfinite(pattern).all() and all(size >= 1 and not size & (size - 1) for size in pattern.shape)
 
     built = rng if camera_rng is None else camera_rng
     threshold, middle_shift = _thresholds(model, built)
@@ -274,7 +276,7 @@ def step(state: CameraState, motion: SliceMotion, t0_us: int, rng: np.random.Gen
     ValueError if values are not finite or further than 1e6 px; the state is then unchanged.
     """
     path, object_motion = camera_input.motions(len(state.seen_dot_xy_px), motion)
-    lines = camera_input.line_motion(state.contact_edges, motion, coarsely=True)
+    lines = camera_input.line_motion(state.contact_edges, motion)
 
     t0_us = int(t0_us)
     model = state.model

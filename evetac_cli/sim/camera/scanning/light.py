@@ -16,7 +16,6 @@ has two events.
 """
 
 import math
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -43,36 +42,14 @@ from evetac_cli.sim.setup.scene import LightSettings
 ROUNDING = 1e-5
 
 
-@dataclass(frozen=True)
-class LightChange:
-    """Change of the light.
-
-    Flicker: brightness = mean * (1 + depth sin(2 pi frequency t)); a depth of 0 means no flicker. Step: brightness is
-    multiplied by `step_factor` at `step_at_s`.
-    """
-
-    frequency_hz: float = 100.0
-    depth: float = 0.0
-    step_at_s: float = 0.0
-    step_factor: float = 1.0
-
-    def flicker(self, time_us: float) -> float:
-        """Return what the flicker adds to log brightness at a time."""
-        return math.log1p(self.depth * math.sin(2e-6 * math.pi * self.frequency_hz * time_us))
-
-    def step(self, time_us: float) -> float:
-        """Return what the step adds to log brightness at a time."""
-        return math.log(self.step_factor) if time_us >= self.step_at_s * 1e6 else 0.0
-
-
 class Light:
     """The light on one camera, and the camera's last view of it."""
 
-    def __init__(self, change: LightChange, frame_px: tuple[int, int], window_rows: int) -> None:
+    def __init__(self, change: LightSettings, frame_px: tuple[int, int], window_rows: int) -> None:
         """Start with the light at time 0, for a frame of (width, height) and a window of this many rows (0: none)."""
         width, height = frame_px
         self._change = change
-        self._seen_flicker = change.flicker(0.0)
+        self._seen_flicker = change.flicker_level(0.0)
         self._seen_step = 0.0
         brightest, darkest = math.log1p(change.depth), math.log1p(-change.depth)
         self._middle = 0.5 * (brightest + darkest)
@@ -136,7 +113,7 @@ class Light:
         scans = len(readout_us)
         now_us = t0_us + (scans - 1) * SLICE_US / scans
         when = (readout_us[-1], now_us, float(refractory_us))
-        flicker, step = self._change.flicker(now_us), self._change.step(now_us)
+        flicker, step = self._change.flicker_level(now_us), self._change.step_level(now_us)
         if flicker == self._seen_flicker and step == self._seen_step:
             return event_count
         if step != self._seen_step or self._change.depth == 0.0:  # radii hold for a flicker, bounds only during one
@@ -314,15 +291,3 @@ def _forget_lists(row: int, outer: float, candidates: CandidatePixels) -> None:
     for dot in range(len(list_box)):
         if abs(list_box[dot, 1] - row) <= list_box[dot, 3] + outer:
             list_box[dot] = np.nan
-
-
-def of_scene(settings: LightSettings | None) -> LightChange | None:
-    """Return the change of a scene's light; None if the light is steady."""
-    if settings is None:
-        return None
-    change, flicker, step = LightChange(), settings.flicker, settings.step
-    if flicker is not None:
-        change = replace(change, frequency_hz=flicker.frequency_hz, depth=flicker.depth)
-    if step is not None:
-        change = replace(change, step_at_s=step.at_s, step_factor=step.factor)
-    return change

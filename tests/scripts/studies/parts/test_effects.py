@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from evetac_cli.jobs import Row
-from evetac_cli.sim.parts import rows_of
+from evetac_cli.sim.setup.parts import rows_of
 from scripts.studies.parts import effects
 from scripts.studies.parts.effects import BY_NAME, NONE, PARTS, Part
 

@@ -12,8 +12,8 @@ from evetac_cli.sim.camera.gel_camera import dots_differ
 from evetac_cli.sim.camera.optics import shaped_level
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
-from evetac_cli.sim.camera.scanning.light import LightChange
 from evetac_cli.sim.setup.plan import one_sensor
+from evetac_cli.sim.setup.scene import Flicker, LightSettings
 from tests.sim.camera.gel_cameras import gel_camera
 from tests.sim.camera.small_frames import FRAME, STILL, Path, play
 
@@ -94,7 +94,7 @@ def test_lines_leak_and_light_see_each_dot_as_it_is() -> None:
     """Assert that a line that moves, leak and light over resting dots of two kinds make no event of their rims."""
     model = dataclasses.replace(MODEL, leak_hz=0.01)
     edges = contact_edges.start(FRAME, place(60.0), None, 0.02)
-    change = LightChange(frequency_hz=100.0, depth=0.01)
+    change = LightSettings(flicker=Flicker(frequency_hz=100.0, depth=0.01))
     state = start(model=model, contact_edges=edges, light_change=change)
     state.reference[:] = shaped_level(FRAME, APART, state.profile, state.shapes)
     rng, events = np.random.default_rng(1), 0

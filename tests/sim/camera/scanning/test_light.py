@@ -14,7 +14,7 @@ from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.contact_edges import EdgePlace
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.sim.camera.scanning.camera import CameraModel, CameraState
-from evetac_cli.sim.camera.scanning.light import LightChange
+from evetac_cli.sim.setup.scene import Flicker, LightSettings, LightStep
 from tests.sim.camera.scanning.test_camera import table_picture
 from tests.sim.camera.small_frames import FRAME, QUIET, STILL, STRIP, TEXTURE
 
@@ -22,7 +22,7 @@ DOTS = np.array([[30.0, 30.0], [52.0, 60.0]])
 FineEvents = list[tuple[int, int, int, int]]
 
 
-def start(change: LightChange | None, model: CameraModel = QUIET, dots: Any = DOTS, **more: Any) -> CameraState:
+def start(change: LightSettings | None, model: CameraModel = QUIET, dots: Any = DOTS, **more: Any) -> CameraState:
     corners = more.pop("window", None)
     window = (corners, TEXTURE) if corners else None
     return camera.start(model, dots, window, np.random.default_rng(0), light_change=change, **more)
@@ -51,23 +51,23 @@ def walk(slices: int, rng: np.random.Generator) -> NDArray[np.float64]:
     return DOTS + np.concatenate([np.zeros((1, 2, 2)), np.cumsum(travel, axis=0)])
 
 
-def log_of_light(change: LightChange, now: float) -> float:
+def log_of_light(change: LightSettings, now: float) -> float:
     """Log brightness of bare gel."""
-    return change.flicker(now) + change.step(now)
+    return change.flicker_level(now) + change.step_level(now)
 
 
 @pytest.mark.parametrize("refractory_us", [0.0, 1500.0])
 @pytest.mark.parametrize(
     "change",
     [
-        LightChange(depth=0.05),
-        LightChange(frequency_hz=120.0, depth=0.4),
-        LightChange(depth=0.1, step_at_s=0.02, step_factor=1.2),
+        LightSettings(flicker=Flicker(frequency_hz=100.0, depth=0.05)),
+        LightSettings(flicker=Flicker(frequency_hz=120.0, depth=0.4)),
+        LightSettings(flicker=Flicker(frequency_hz=100.0, depth=0.1), step=LightStep(at_s=0.02, factor=1.2)),
     ],
     ids=["shallow", "deep", "flicker and step"],
 )
 @pytest.mark.slow
-def test_light_against_every_pixel(change: LightChange, refractory_us: float) -> None:
+def test_light_against_every_pixel(change: LightSettings, refractory_us: float) -> None:
     """Assert the very events of a camera that compares all pixels in every scan, and again when the light changed."""
     rng = np.random.default_rng(4)
     model = dataclasses.replace(QUIET, mismatch=0.2, refractory_us=refractory_us)
@@ -114,7 +114,7 @@ def test_bounds_may_be_forgotten(leak_hz: float, refractory_us: float) -> None:
 
     Before a window with a texture, with a cut edge that moves, leak, and pixels that are blind for a while.
     """
-    change = LightChange(depth=0.12)
+    change = LightSettings(flicker=Flicker(frequency_hz=100.0, depth=0.12))
     model = dataclasses.replace(QUIET, mismatch=0.2, leak_hz=leak_hz, refractory_us=refractory_us)
     states = [
         start(change, model, window=STRIP, contact_edges=contact_edges.start(FRAME, cut_place(0), None, 0.3))
@@ -148,7 +148,7 @@ def test_a_step_fires_the_closed_share(share: float) -> None:
     window, too. Before and after the step nothing happens.
     """
     model = dataclasses.replace(QUIET, frame_px=(400, 300), mismatch=0.0)
-    change = LightChange(step_at_s=0.0045, step_factor=math.exp(share * model.threshold))
+    change = LightSettings(step=LightStep(at_s=0.0045, factor=math.exp(share * model.threshold)))
     state = camera.start(model, DOTS, ((300, 0, 400, 300), TEXTURE), np.random.default_rng(0), light_change=change)
     parts = stand(state, 10)
     sizes = [part.size for part in parts]
@@ -165,7 +165,7 @@ def test_a_deep_flicker_fires_its_crossings() -> None:
     depth = 0.3
     swing = math.log(1 + depth) - math.log(1 - depth)
     model = dataclasses.replace(QUIET, mismatch=0.0, threshold=0.21)
-    state = start(LightChange(frequency_hz=50.0, depth=depth), model)
+    state = start(LightSettings(flicker=Flicker(frequency_hz=50.0, depth=depth)), model)
     stand(state, 40)
     period = stand(state, 20, first=40)
     ups = sum(int(part.p.sum()) for part in period) / (FRAME[0] * FRAME[1])
@@ -185,7 +185,7 @@ def test_one_factor_tells_nothing_of_the_print() -> None:
     in_print = np.hypot(x[None] - dots[:, :1, None], y[None] - dots[:, 1:, None]).min(axis=0) < 10
     means = []
     for at in (dots, dots + [0.0, 1000.0]):
-        state = camera.start(model, at, None, np.random.default_rng(0), light_change=LightChange(depth=0.3))
+        state = start(LightSettings(flicker=Flicker(frequency_hz=100.0, depth=0.3)), model, at)
         stand(state, 10)
         counts = np.zeros((120, 200))
         for part in stand(state, 100, 10):
