@@ -56,8 +56,8 @@ Row = dict[str, Any]
 Rows = list[Row]
 
 
-class Looking(NamedTuple):
-    """A call of a command that prints a result: its module has `look(Looking) -> Outcome` and `show(Outcome, verbose)`.
+class LookCall(NamedTuple):
+    """A call of a command that prints: its module has `look(LookCall) -> Outcome` and `show(Outcome, verbose)`.
 
     paths: as typed; files: returns them with each folder replaced by its stage files; errors: takes those of single
     files, which hide no other.

@@ -51,7 +51,7 @@ def read_bytes(path: Path, most_bytes: int) -> bytes:
     return content
 
 
-class Steady:
+class FileStamps:
     """Detects changes of a file, or of files in a folder, which another program may be writing during reading."""
 
     def __init__(self, path: Path) -> None:
@@ -74,9 +74,9 @@ class Steady:
 
 
 @contextmanager
-def steady(path: Path) -> Iterator[None]:
+def unchanged(path: Path) -> Iterator[None]:
     """Raise UnavailableError if a file changed while the block read it, even if the block raised InputError."""
-    before = Steady(path)
+    before = FileStamps(path)
     try:
         yield
     except InputError:

@@ -189,10 +189,10 @@ def test_an_event_file_that_grows_while_it_is_read(tmp_path: Path, monkeypatch: 
 
 def test_a_folder_that_grows_while_it_is_read(tmp_path: Path) -> None:
     """Assert that a file added to a bag is noticed."""
-    steady = text_files.Steady(tmp_path)
+    stamps = text_files.FileStamps(tmp_path)
     (tmp_path / "metadata.yaml").touch()
     with pytest.raises(UnavailableError, match="changed while it was read"):
-        steady.check()
+        stamps.check()
 
 
 def test_a_table_that_grows_while_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

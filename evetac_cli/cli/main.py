@@ -21,7 +21,7 @@ from evetac_cli.cli.exit_codes import CommandExit, Commands
 from evetac_cli.cli.flags import Running
 from evetac_cli.commands.parameter import LOOK, PAGE, STAGE, Command
 from evetac_cli.errors import DeviceError, EvetacError, InputError, UnavailableError
-from evetac_cli.jobs import Looking, Outcome
+from evetac_cli.jobs import LookCall, Outcome
 from evetac_cli.names import __version__
 
 HELP_OF_GROUPS = {"evaluate": "Evaluate results: numbers, tables, plots and a report file."}
@@ -69,7 +69,7 @@ def _look(command: Command, title: str, flag_values: dict[str, Any]) -> None:
         errors: list[EvetacError] = []
         with console.progress_bar(title, command.unit, quiet=running.quiet or not command.unit) as progress:
             files = partial(execution.with_folders, paths)
-            result: Outcome = module.look(Looking(paths, files, params, running.out, running.quiet, progress, errors))
+            result: Outcome = module.look(LookCall(paths, files, params, running.out, running.quiet, progress, errors))
         looked.results |= {Path(): result, **{Path(f"{number}"): error for number, error in enumerate(errors)}}
         if running.as_json and not errors:
             console.show(title, result.rows, result.summary, simulated=result.simulated, as_json=True)

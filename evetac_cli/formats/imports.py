@@ -28,7 +28,7 @@ from evetac_cli.formats.read.source import ImportFormat as ImportFormat
 from evetac_cli.formats.read.time_order import IN_ORDER, OrderOptions
 from evetac_cli.jobs import Progress, silent
 from evetac_cli.store.recordings.streams import Stream, free_name
-from evetac_cli.text_files import Steady
+from evetac_cli.text_files import FileStamps
 
 EXPECTED = names.either(names.IMPORTS.values())
 HEAD_BYTES = 4096
@@ -143,8 +143,8 @@ class EventFile:
         - progress: receives the number of events read; the total is unknown, because no format states it.
         """
         self._path, self._options, self._folder = Path(path), options, folder
-        self._steady = Steady(self._path)
-        with _reading(self._path, self._steady):
+        self._stamps = FileStamps(self._path)
+        with _reading(self._path, self._stamps):
             try:
                 self._source = _open(self._path, options.frame_px, options.of_readers())
             except FrameUnknown as unknown:
@@ -161,7 +161,7 @@ class EventFile:
         blocks = self._events.blocks()
         try:
             while True:
-                with _reading(self._path, self._steady):
+                with _reading(self._path, self._stamps):
                     block = next(blocks, None)
                 if block is None:
                     break
@@ -180,14 +180,14 @@ class EventFile:
         t_offset_us = events.first_us + source.clock_us if events.size or note else 0
         notes = [*source.notes, *_losses(source, events, lacks_events=lacks_events), *events.corrections]
         notes += source.times.notes if source.times else []
-        with _reading(self._path, self._steady):
+        with _reading(self._path, self._stamps):
             if self._options.order.from_restart is None:
                 others = {"frames": self._options.frames, "folder": self._folder, "topic": self._options.stream}
                 streams, stream_notes = _kept(self._path, source, t_offset_us, slices, others)
             else:  # their times do not show which part they belong to
                 streams, stream_notes = [], []
                 source.left_out |= {stream.name: len(stream.t_us) for stream in source.streams}
-        self._steady.check()
+        self._stamps.check()
         return Imported(
             size=events.size,
             frame_px=source.frame_px,
@@ -211,7 +211,7 @@ def read_events(path: str | Path, **options: Any) -> Imported:
 
 
 @contextmanager
-def _reading(path: Path, before: Steady) -> Iterator[None]:
+def _reading(path: Path, before: FileStamps) -> Iterator[None]:
     """Turn errors while reading into InputError; if the file changed during reading, report that instead."""
     try:
         yield

@@ -17,7 +17,7 @@ from evetac_cli.formats.read.bags.host_clock import clock_of_bag, on_sensor_cloc
 from evetac_cli.formats.read.bags.read_bag_stream import read_bag_stream
 from evetac_cli.formats.read.read_table import read_table
 from evetac_cli.store.recordings.streams import Stream
-from evetac_cli.text_files import open_regular, steady
+from evetac_cli.text_files import open_regular, unchanged
 
 
 def read_stream(
@@ -30,7 +30,7 @@ def read_stream(
     """
     path, topic = _parted(source)
     try:
-        with steady(path):
+        with unchanged(path):
             if _is_bag(path):
                 stream, notes = read_bag_stream(path, topic, folder)
             elif topic:

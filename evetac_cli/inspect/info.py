@@ -13,7 +13,7 @@ from evetac_cli.console import first_rows, format_value, print_table, print_text
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.inspect import folder
-from evetac_cli.jobs import Looking, Outcome
+from evetac_cli.jobs import LookCall, Outcome
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.slip.covariates import SlipCovariates, unknown_covariates
 from evetac_cli.pages.shared import KNOWN, inner, stiffness
@@ -35,15 +35,15 @@ MOST_PARENTS = 10  # lines; a model may have hundreds of parents
 OPTIONAL_GROUPS = ("gripper", "truth", "control", "capture", "marks", "streams")  # of a recording
 
 
-def look(looking: Looking) -> Outcome:
+def look(call: LookCall) -> Outcome:
     """Describe files, or list those of a folder; errors of single files hide no others."""
-    paths, conditions = looking.paths, looking.params.where or ()
+    paths, conditions = call.paths, call.params.where or ()
     if len(paths) == 1 and paths[0].is_dir():
-        return folder.answer(paths[0], conditions, looking.progress)
+        return folder.answer(paths[0], conditions, call.progress)
     if conditions:
         found = ", ".join(map(str, paths))
         raise InputError("searches the files of a folder", where="--where", expected="one folder", found=found)
-    return run(looking.files(), looking.errors)
+    return run(call.files(), call.errors)
 
 
 def run(files: list[Path], errors: list[EvetacError] | None = None) -> Outcome:

@@ -6,7 +6,7 @@ from typing import Any
 
 from evetac_cli import names, plugins, resources
 from evetac_cli.console import print_table, print_text
-from evetac_cli.jobs import Looking, Outcome, Row, Rows
+from evetac_cli.jobs import LookCall, Outcome, Row, Rows
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture
 from evetac_cli.sim.setup import sensor_file
 from evetac_cli.text_files import read_toml
@@ -16,9 +16,9 @@ BOUNDS = {"minimum": "least", "exclusiveMinimum": "more_than", "maximum": "most"
 SHOWN = ("file", "name", "command", "about")  # columns on a terminal; -v and --json have all
 
 
-def look(looking: Looking) -> Outcome:
+def look(call: LookCall) -> Outcome:
     """Return a row for each name, those of plug-ins last, or for each key."""
-    what = looking.params.what
+    what = call.params.what
     rows = _LISTS[what]()
     return Outcome(rows, False, {what: len(rows)})
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from evetac_cli.console import print_table
 from evetac_cli.errors import EvetacError, InputError, UnavailableError
-from evetac_cli.jobs import Looking, Outcome, Progress, silent
+from evetac_cli.jobs import LookCall, Outcome, Progress, silent
 from evetac_cli.store.files import StageFile, header_of
 from evetac_cli.store.hdf5.checked_hdf5 import DAMAGE
 from evetac_cli.store.hdf5.disk import remove_unfinished
@@ -34,11 +34,11 @@ EVENTS = 1 << 18  # read at once
 ENDED = "broke off, and was repaired"
 
 
-def look(looking: Looking) -> Outcome:
+def look(call: LookCall) -> Outcome:
     """Check files, or repair folders of interrupted recordings."""
-    if looking.params.repair:
-        return repair(looking.paths, looking.progress)
-    return run(looking.files(), looking.progress)
+    if call.params.repair:
+        return repair(call.paths, call.progress)
+    return run(call.files(), call.progress)
 
 
 def run(files: list[Path], progress: Progress = silent) -> Outcome:

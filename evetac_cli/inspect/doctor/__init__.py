@@ -21,7 +21,7 @@ from evetac_cli.errors import EXTRAS, DeviceError, InputError, install_hint, pip
 from evetac_cli.formats import exports, imports
 from evetac_cli.inspect.doctor.cameras import camera_rows, check, end_program, show
 from evetac_cli.inspect.doctor.udev import INSTALL_RULES, JOIN
-from evetac_cli.jobs import Looking, Outcome, Row
+from evetac_cli.jobs import LookCall, Outcome, Row
 from evetac_cli.kernels.grip.control import PluginLaw
 from evetac_cli.kernels.slip.architectures import PluginLayers
 from evetac_cli.plugins import Plugin
@@ -62,9 +62,9 @@ NOT_ASKED = "not checked: not an FTDI adapter"
 WHICH_PORTS = "`ls /dev/ttyUSB* /dev/ttyACM*` lists the ports"
 
 
-def look(looking: Looking) -> Outcome:
+def look(call: LookCall) -> Outcome:
     """Examine everything."""
-    return run(looking.params)
+    return run(call.params)
 
 
 def run(params: Doctor, host: Host | None = None) -> Outcome:

@@ -11,7 +11,7 @@ from evetac_cli.devices.dvxplorer.camera import SUPER_SPEED, FoundCamera
 from evetac_cli.devices.probe import Host
 from evetac_cli.events import FRAME_PX
 from evetac_cli.inspect.doctor.udev import INSTALL_RULES, JOIN
-from evetac_cli.jobs import Looking, Outcome, Row
+from evetac_cli.jobs import LookCall, Outcome, Row
 
 
 def check(device: str, check: str, ok: bool | None, result: str, expected: str = "", fix: str = "") -> Row:
@@ -62,7 +62,7 @@ SPEEDS = {
 }
 
 
-def look(looking: Looking) -> Outcome:
+def look(call: LookCall) -> Outcome:
     """Return a row for every check of every camera."""
     host = Host()
     found = host.cameras() if host.has_libusb() else []

@@ -19,7 +19,7 @@ import numpy as np
 from evetac_cli import console
 from evetac_cli.console import print_table
 from evetac_cli.errors import EvetacError
-from evetac_cli.jobs import Looking, Outcome, Progress, Rows, silent
+from evetac_cli.jobs import LookCall, Outcome, Progress, Rows, silent
 from evetac_cli.kernels.slip import inputs
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES, CHANNELS
 from evetac_cli.sim.setup.scene_file import changed
@@ -36,9 +36,9 @@ COMMANDS = (
 )
 
 
-def look(looking: Looking) -> Outcome:
+def look(call: LookCall) -> Outcome:
     """Compile, and report each command on stderr unless quiet."""
-    return run(looking.progress, say=(lambda line: None) if looking.quiet else console.say)
+    return run(call.progress, say=(lambda line: None) if call.quiet else console.say)
 
 
 def run(

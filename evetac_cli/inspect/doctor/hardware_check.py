@@ -43,7 +43,7 @@ from evetac_cli.devices.rh_p12_rn.dynamixel_bus import RANGE_FAULT, Bus, Instruc
 from evetac_cli.devices.rh_p12_rn.torque import SETTLE_S, Torque
 from evetac_cli.errors import EvetacError, InputError
 from evetac_cli.events import SLICES_PER_S
-from evetac_cli.jobs import Looking, Outcome
+from evetac_cli.jobs import LookCall, Outcome
 from evetac_cli.names import Capability
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.provenance import time_host_versions
@@ -83,11 +83,11 @@ class Steps:
             raise NotAsExpected
 
 
-def look(looking: Looking) -> Outcome:
+def look(call: LookCall) -> Outcome:
     """Test the given devices; InputError with --quiet, because every step is announced."""
-    if looking.quiet:
+    if call.quiet:
         raise InputError("has no effect: every step is announced", where="--quiet")
-    return run(looking.params, looking.out)
+    return run(call.params, call.out)
 
 
 def run(params: DoctorHardware, out: Path | None, ask: Callable[[str], bool] | None = None) -> Outcome:

@@ -27,7 +27,7 @@ from evetac_cli.commands.grasp import Grasp
 from evetac_cli.errors import EvetacError, InputError, attached_outcome
 from evetac_cli.events import FRAME_PX
 from evetac_cli.inspect.doctor.cameras import check, show
-from evetac_cli.jobs import Looking, Outcome, Progress, Row, silent
+from evetac_cli.jobs import LookCall, Outcome, Progress, Row, silent
 from evetac_cli.realtime.processes import REALTIME, raised_priority
 from evetac_cli.trials.grasp.controller_process import PRIORITY
 from evetac_cli.trials.session import BEHIND_S
@@ -172,9 +172,9 @@ class Computer:
         )
 
 
-def look(looking: Looking) -> Outcome:
+def look(call: LookCall) -> Outcome:
     """Measure this computer."""
-    return run(progress=looking.progress)
+    return run(progress=call.progress)
 
 
 def run(computer: Computer | None = None, folder: Path | None = None, progress: Progress = silent) -> Outcome:

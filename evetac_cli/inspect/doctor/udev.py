@@ -3,7 +3,7 @@
 from typing import Any
 
 from evetac_cli.console import print_text
-from evetac_cli.jobs import Looking, Outcome
+from evetac_cli.jobs import LookCall, Outcome
 
 RULES = "/etc/udev/rules.d/60-evetac.rules"
 RELOAD = "sudo udevadm control --reload && sudo udevadm trigger"
@@ -12,7 +12,7 @@ JOIN = "sudo usermod -aG dialout $USER, and log in again"
 INSTALL_RULES = f"evetac doctor udev | sudo tee {RULES} && {RELOAD}; then plug it in again"
 
 
-def look(looking: Looking) -> Outcome:
+def look(call: LookCall) -> Outcome:
     """Return no rows; the rules are in the summary."""
     return Outcome([], False, {"udev": udev_rules()})
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from evetac_cli import console, interrupts
-from evetac_cli.devices.kept_camera import KeptCamera
+from evetac_cli.devices.series_camera import SeriesCamera
 from evetac_cli.errors import DeviceError, EvetacError, InputError, attach_outcome, attached_outcome
 from evetac_cli.jobs import Job, Outcome, Rows, require_possible_name
 from evetac_cli.store.hdf5.disk import existing_folder, missing_folders, remove_empty
@@ -69,7 +69,7 @@ def listen(job: Listening, record: Callable[..., Outcome]) -> Outcome:
 
     requests, first = TrialRequests(job.longest_s), job.first
     rows: Rows = []
-    kept = [camera for camera in first.cameras if isinstance(camera, KeptCamera)]
+    kept = [camera for camera in first.cameras if isinstance(camera, SeriesCamera)]
     simulated = first.shows_simulation
     try:
         with ExitStack() as opened:
@@ -98,7 +98,7 @@ def listen(job: Listening, record: Callable[..., Outcome]) -> Outcome:
         raise attach_outcome(KeyboardInterrupt(summary), Outcome(rows, simulated)) from None
 
 
-def _next(requests: TrialRequests, kept: list[KeptCamera]) -> str:
+def _next(requests: TrialRequests, kept: list[SeriesCamera]) -> str:
     """Return the name of the next trial once it is requested; meanwhile kept cameras are read."""
     while not (name := requests.wanted(0.0 if any(camera.is_open for camera in kept) else WAIT_S)):
         for camera in kept:

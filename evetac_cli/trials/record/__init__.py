@@ -19,8 +19,8 @@ from evetac_cli.devices import cameras as named_cameras
 from evetac_cli.devices import grippers as named_grippers
 from evetac_cli.devices.cameras import CameraSettings, NamedCamera
 from evetac_cli.devices.grippers import NamedGripper, NoGripper
-from evetac_cli.devices.kept_camera import KeptCamera
 from evetac_cli.devices.opening import open_rig, require_arm
+from evetac_cli.devices.series_camera import SeriesCamera
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.formats.read.bags.bag_files import is_bag_folder
@@ -102,7 +102,7 @@ def _listening(trials: list[DeviceRecording], params: Record, out: Path | None) 
     job = listening(trials, out, params.listen_port, None if params.seconds is not None else LONGEST_S)
     (first,) = trials
     cameras = tuple(
-        each if each.has(Capability.SCENE) or each.has(Capability.REPLAY) else KeptCamera(each, first.settings)
+        each if each.has(Capability.SCENE) or each.has(Capability.REPLAY) else SeriesCamera(each, first.settings)
         for each in first.cameras
     )
     return replace(job, first=replace(first, cameras=cameras))

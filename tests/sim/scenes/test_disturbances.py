@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from evetac_cli.devices.simulated import rig
-from evetac_cli.sim.scenes import pads
+from evetac_cli.sim.scenes import shared
 from evetac_cli.sim.scenes.finger_drive import Command, LateCommands
 from evetac_cli.sim.scenes.gripped import GraspSimulation
 from evetac_cli.sim.scenes.pressing import Pressing
@@ -265,6 +265,6 @@ def test_friction_that_varies_belongs_to_the_sensor(monkeypatch: pytest.MonkeyPa
     other = replace(plan, sensor=replace(patchy, seed=77))
     elsewhere = GraspSimulation(other, np.random.default_rng(5), np.random.default_rng(9))
     assert np.abs(elsewhere.pads.friction_factor - factors[0]).max() > 0.1
-    monkeypatch.setattr(pads, "friction_factor", lambda _, nodes: np.full(nodes.shape[:2], 2.0))
+    monkeypatch.setattr(shared, "friction_factor", lambda _, nodes: np.full(nodes.shape[:2], 2.0))
     double = GraspSimulation(uneven, np.random.default_rng(5), np.random.default_rng(9))
     assert double.pads.slip_limit_n == pytest.approx(trials[0].pads.slip_limit_n / 2, rel=1e-12)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.devices.cameras import CameraSettings, NamedCamera, OpenedCamera
-from evetac_cli.devices.kept_camera import KeptCamera
+from evetac_cli.devices.series_camera import SeriesCamera
 from evetac_cli.errors import DeviceError
 from evetac_cli.events import SLICE_US, Events
 from tests.devices.stand_ins import StillCamera
@@ -57,11 +57,11 @@ class Named(NamedCamera):
         return OpenedCamera(self.cameras.pop(0), {"name": self.name})
 
 
-def kept(*cameras: Numbered) -> KeptCamera:
-    return KeptCamera(Named(list(cameras)), CameraSettings())
+def kept(*cameras: Numbered) -> SeriesCamera:
+    return SeriesCamera(Named(list(cameras)), CameraSettings())
 
 
-def opened(camera: KeptCamera) -> Any:
+def opened(camera: SeriesCamera) -> Any:
     return camera.open(camera.settings, None, SEEDS).camera
 
 

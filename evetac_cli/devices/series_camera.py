@@ -20,7 +20,7 @@ from evetac_cli.realtime.shared_time import TimeSource
 
 
 class _Running:
-    """The open camera of a KeptCamera: how many of its slices were read, and whether it still delivers any."""
+    """The open camera of a SeriesCamera: how many of its slices were read, and whether it still delivers any."""
 
     def __init__(self, opened: OpenedCamera) -> None:
         self.opened = opened
@@ -77,7 +77,7 @@ class CameraPart:
 
 
 @dataclass(frozen=True)
-class KeptCamera(NamedCamera):
+class SeriesCamera(NamedCamera):
     """A named camera that is opened once; each `open` returns its slices from that time onward.
 
     settings: the settings with which it is opened.
