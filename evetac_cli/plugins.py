@@ -13,13 +13,10 @@ from contextlib import contextmanager, redirect_stdout
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from evetac_cli import names
 from evetac_cli.errors import InputError
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
 
 T = TypeVar("T")
 
@@ -42,42 +39,27 @@ OURS: dict[str, tuple[str, ...]] = {
 CLASSES = (CAMERAS, GRIPPERS)  # groups in which a plug-in adds a class; in others it adds an instance
 NUMBERED = (CONTROLLERS, NETWORKS)  # groups in which `method` is the version of the computed numbers
 NAME = re.compile("[a-z][a-z0-9-]{0,39}")
-_used: dict[tuple[str, str], "Part"] = {}  # by group and name
+_used: dict[tuple[str, str], "Plugin"] = {}  # by group and name
 
 
-class Part(NamedTuple):
-    """A plug-in that is used for the results, in a form for other processes; module: that of its entry point."""
+class Plugin(NamedTuple):
+    """An entry point of a package: its group and name, and its value, `module:attribute`. Processes can send it."""
 
     group: str
     name: str
     package: str
     version: str
-    module: str
+    value: str
 
     @property
     def what(self) -> str:
         """`camera toy`, for a sentence."""
         return f"{self.group.removeprefix('evetac.').removesuffix('s')} {self.name}"
 
-
-class Plugin(NamedTuple):
-    """An entry point of a package, with its group and name."""
-
-    group: str
-    name: str
-    package: str
-    version: str
-    entry: "EntryPoint"
-
     @property
-    def what(self) -> str:
-        """`camera toy`, for a sentence."""
-        return self.part.what
-
-    @property
-    def part(self) -> Part:
-        """The plug-in in a form for other processes."""
-        return Part(self.group, self.name, self.package, self.version, self.entry.module)
+    def module(self) -> str:
+        """Name of the module that it is in."""
+        return self.value.partition(":")[0].strip()
 
     def fault(self) -> str:
         """Return the reason why its name cannot be used; empty if it can."""
@@ -93,11 +75,13 @@ class Plugin(NamedTuple):
 
         InputError if it is something else, or if loading fails.
         """
+        from importlib import metadata
+
         if fault := self.fault():
             raise self.error(fault)
         try:
             with redirect_stdout(sys.stderr):  # its output must not mix with a table or JSON
-                loaded = self.entry.load()
+                loaded = metadata.EntryPoint(self.name, self.value, self.group).load()
         except (Exception, SystemExit) as error:  # third-party code may raise anything
             raise self.error(f"{type(error).__name__}: {error}") from error
         self._require(loaded, wanted)
@@ -106,7 +90,7 @@ class Plugin(NamedTuple):
 
     def _require(self, loaded: Any, wanted: type) -> None:
         """Raise InputError unless the loaded object is of the right kind for its group."""
-        value, kind = self.entry.value, f"{wanted.__module__}.{wanted.__qualname__}"
+        value, kind = self.value, f"{wanted.__module__}.{wanted.__qualname__}"
         is_class = isinstance(loaded, type)
         if not issubclass(loaded if is_class else type(loaded), wanted):
             raise self.error(f"{value} is no {kind}")
@@ -120,7 +104,7 @@ class Plugin(NamedTuple):
 
     def use(self) -> None:
         """Record that the plug-in is used, so that headers name its package."""
-        _used[self.group, self.name] = self.part
+        _used[self.group, self.name] = self
 
     def error(self, why: str) -> InputError:
         """Return the error that this plug-in cannot be used, with the reason."""
@@ -136,7 +120,7 @@ def installed(group: str) -> tuple[Plugin, ...]:
     plugins = []
     for entry in metadata.entry_points(group=group):
         package, version = (entry.dist.name, entry.dist.version) if entry.dist is not None else ("?", "?")
-        plugins.append(Plugin(group, entry.name, package, version, entry))
+        plugins.append(Plugin(group, entry.name, package, version, entry.value))
     return tuple(sorted(plugins, key=lambda each: (each.name, each.package)))
 
 
@@ -174,7 +158,7 @@ def find_file(group: str, name: str) -> Path | None:
     file = getattr(module, "__file__", None)
     folder = next(iter(getattr(module, "__path__", None) or ()), None) or (file and Path(file).parent)
     if not folder:
-        raise plugin.error(f"{plugin.entry.value} has no folder")
+        raise plugin.error(f"{plugin.value} has no folder")
     path = Path(folder) / f"{name}.toml"
     if not path.is_file():
         raise plugin.error(f"no file {path}")
@@ -182,12 +166,12 @@ def find_file(group: str, name: str) -> Path | None:
     return path
 
 
-def parts() -> tuple[Part, ...]:
+def parts() -> tuple[Plugin, ...]:
     """Return the plug-ins that this process has used so far, for `take_part` in another process."""
     return tuple(_used.values())
 
 
-def take_part(others: Iterable[Part]) -> None:
+def take_part(others: Iterable[Plugin]) -> None:
     """Record these plug-ins as used, because the process that sends the jobs uses them."""
     _used.update({part[:2]: part for part in others})
 
@@ -208,7 +192,7 @@ def only_looked_at() -> Iterator[None]:
         _used.update(before)
 
 
-def lacking(wanted: Iterable[Part]) -> str:
+def lacking(wanted: Iterable[Plugin]) -> str:
     """Return the reason why this process cannot use plug-ins that another one uses; empty if it can."""
     for part in wanted:
         here = by_name(part.group, part.name)
@@ -223,13 +207,13 @@ def lacking(wanted: Iterable[Part]) -> str:
     return ""
 
 
-def culprits(error: BaseException) -> tuple[Part, ...]:
+def culprits(error: BaseException) -> tuple[Plugin, ...]:
     """Return the plug-ins in whose code an error was raised, or through which it passed; none if it was evetac's code.
 
     All of them belong to one package. If no entry point names the module of that code, they are all used plug-ins of
     its package.
     """
-    noted: tuple[Part, ...] = getattr(error, "evetac_plugins", ())
+    noted: tuple[Plugin, ...] = getattr(error, "evetac_plugins", ())
     if noted:
         return noted
     modules = [str(frame.f_globals.get("__name__", "")) for frame, _ in traceback.walk_tb(error.__traceback__)]

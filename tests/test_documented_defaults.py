@@ -15,7 +15,7 @@ import pytest
 
 from evetac_cli import resources
 from evetac_cli.cli import flags
-from evetac_cli.commands import EVERY as BY_WORDS
+from evetac_cli.commands import every
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.evaluate import SUBJECTS
@@ -35,7 +35,7 @@ from evetac_cli.trials.grasp import real_time
 from evetac_cli.trials.record import capture_plan
 
 ROOT = Path(__file__).parents[1]
-COMMANDS = BY_WORDS | {f"evaluate {command.name}": command for command in SUBJECTS}
+COMMANDS = every() | {f"evaluate {command.name}": command for command in SUBJECTS}
 
 
 def _shipped() -> str:

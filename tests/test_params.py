@@ -8,7 +8,7 @@ from typing import Any, get_args, get_type_hints
 import pytest
 
 from evetac_cli.cli.config import resolve, with_config
-from evetac_cli.commands import PIPELINE
+from evetac_cli.commands import pipeline
 from evetac_cli.commands.doctor import DoctorHardware
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.parameter import flag_of, recipe_of
@@ -20,7 +20,7 @@ from evetac_cli.evaluate import SUBJECTS
 from evetac_cli.evaluate.labels import EvaluateLabels
 from evetac_cli.evaluate.slip import EvaluateSlip
 
-EVERY = {command.name: command.params for command in PIPELINE}
+EVERY = {command.name: command.params for command in pipeline()}
 EVERY |= {f"evaluate {command.name}": command.params for command in SUBJECTS}
 ALL_FIELDS = [(command, item) for command, cls in EVERY.items() for item in dataclasses.fields(cls)]
 ENDS = [(command, item, end) for command, item in ALL_FIELDS for end in ("low", "high")]

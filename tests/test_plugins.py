@@ -237,7 +237,7 @@ def test_doctor(toy: Path, broken: Path) -> None:
     """Assert that doctor lists every plug-in with package and version, and says of each that fails what is wrong."""
     listed = [row for row in rows(toy, "doctor") if "evetac-toy" in row["device"]]
     named = {row["check"] for row in listed}
-    assert named == {plugins.Part(g, name, "", "", "").what for g, names in GROUPS.items() for name in names}
+    assert named == {plugins.Plugin(g, name, "", "", "").what for g, names in GROUPS.items() for name in names}
     assert all(row["ok"] and row["device"] == "plug-ins of evetac-toy 1.0" for row in listed)
 
     done = run(broken, "doctor", "--json")
@@ -442,7 +442,7 @@ def test_a_worker_without_the_package(add: Add, tmp_path: Path) -> None:
     plugins.find(plugins.CAMERAS, "one", NamedCamera)
     (part,) = plugins.parts()
 
-    def answer(part: plugins.Part) -> str:
+    def answer(part: plugins.Plugin) -> str:
         version = dask_engine.__version__
         command = dask_engine.ClusterCommand("record", None, False, version, tmp_path, tmp_path / "sign", (part,))
         return dask_engine.check_worker(pickle.loads(pickle.dumps(command)))

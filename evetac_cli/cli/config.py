@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from evetac_cli import plugins
+from evetac_cli.commands import pipeline
 from evetac_cli.commands.parameter import Command, flag_of, key_of
 from evetac_cli.errors import InputError, did_you_mean
 from evetac_cli.text_files import plain_number, read_toml
@@ -35,10 +36,9 @@ def resolve(cls: type, command: str, flag_values: Mapping[str, Any], config: Pat
 
 def with_config() -> dict[str, Command]:
     """Return the commands that have a table in a config file, such as [track] or [evaluate.slip], by name."""
-    from evetac_cli.commands import PIPELINE  # here, as all commands are imported for it
-    from evetac_cli.evaluate import SUBJECTS
+    from evetac_cli.evaluate import SUBJECTS  # here, as all subjects are imported for it
 
-    return {command.name: command for command in PIPELINE} | {f"evaluate {one.name}": one for one in SUBJECTS}
+    return {command.name: command for command in pipeline()} | {f"evaluate {one.name}": one for one in SUBJECTS}
 
 
 def _read_config(path: Path, cls: type, command: str) -> dict[str, Any]:

@@ -49,7 +49,7 @@ class ClusterCommand:
     version: str
     folder: Path  # working folder of the command
     sign: Path  # file that exists while the command runs
-    parts: tuple[plugins.Part, ...] = ()  # plug-ins that the command uses
+    parts: tuple[plugins.Plugin, ...] = ()  # plug-ins that the command uses
 
 
 @dataclass(frozen=True)

@@ -159,7 +159,7 @@ def _in_worker(
 
 
 def _work(
-    pipe: "Connection", module: str, params: Any, force: bool, quiet: bool, parts: tuple[plugins.Part, ...]
+    pipe: "Connection", module: str, params: Any, force: bool, quiet: bool, parts: tuple[plugins.Plugin, ...]
 ) -> None:
     """Run jobs from the pipe, one after the other, until it closes; end at once if the parent dies.
 

@@ -2,11 +2,10 @@
 
 Of evetac, this package imports only names and errors, which keeps `--help` fast. Stages take their parameters from
 here, and a stage is imported only when its command is chosen. The module of a command is also imported on demand, by
-`find` and by the tuples of all commands: building the flags of all commands takes noticeable time.
+`find`, `pipeline` and `every`: building the flags of all commands takes noticeable time.
 """
 
 import importlib
-from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -33,17 +32,6 @@ PANELS = {
 }
 GROUPS = ("evaluate", "doctor")
 MODULES = {"list": "listing"}  # of commands whose name a module cannot have
-# What a user who types a former command, or a former flag of one, is told to type.
-FORMER = {
-    "index": "info",
-    "repair": "validate --repair",
-    "track-rgb": "track --rgb",
-    **{f"doctor --{part}": f"doctor {part}" for part in ("compile", "speed", "hardware")},
-    "doctor --print-udev": "doctor udev",
-}
-# Built on first access.
-PIPELINE: tuple[Command, ...]
-EVERY: dict[str, Command]  # by the words that call each; the subjects of evaluate are in evaluate
 
 
 def find(name: str) -> Command:
@@ -63,23 +51,13 @@ def _module(name: str) -> Any:
 
 
 @cache
-def _pipeline() -> tuple[Command, ...]:
+def pipeline() -> tuple[Command, ...]:
+    """Return the commands of the pipeline, in order."""
     return tuple(map(find, OF_PIPELINE))
 
 
 @cache
-def _every() -> dict[str, Command]:
+def every() -> dict[str, Command]:
+    """Return all commands by the words that call each; the subjects of evaluate are in evaluate."""
     alone = (name for names in PANELS.values() for name in names if name != "evaluate")
     return {name: find(name) for name in alone} | {f"doctor {part.name}": part for part in parts("doctor")}
-
-
-_MADE: dict[str, Callable[[], Any]] = {
-    "PIPELINE": _pipeline,
-    "EVERY": _every,
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name in _MADE:
-        return _MADE[name]()
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -129,7 +129,7 @@ def _help(command: Any) -> tuple[list[str], list[str]]:
 
 def _parameters(name: str) -> dict[str, Field[Any]]:
     """Return the parameters of a command by name, if the command is made from a dataclass."""
-    command = commands.EVERY.get(name) or with_config()[name]
+    command = commands.every().get(name) or with_config()[name]
     return {item.name: item for item in fields(command.params)}
 
 

@@ -21,7 +21,7 @@ from evetac_cli import __version__
 from evetac_cli.cli import execution
 from evetac_cli.cli.flags import Running
 from evetac_cli.cli.main import app
-from evetac_cli.commands import PIPELINE
+from evetac_cli.commands import pipeline
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.parameter import Command, flag_of
 from evetac_cli.errors import (
@@ -42,7 +42,7 @@ from evetac_cli.stages import per_file
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.layout.provenance import Recipe
 
-COMMANDS = [([command.name], command) for command in PIPELINE]
+COMMANDS = [([command.name], command) for command in pipeline()]
 COMMANDS += [(["evaluate", command.name], command) for command in SUBJECTS]
 
 
