@@ -43,7 +43,8 @@ def choices(of: type, name: str) -> set[str]:
 
 def test_every_command_and_option_has_a_place(every: dict[str, str]) -> None:
     """Assert that each command of the program has a page that names all of its options and files."""
-    assert set(command_pages.every_command()) == {*commands.every(), *(f"evaluate {subject.name}" for subject in SUBJECTS)}
+    subjects = {f"evaluate {subject.name}" for subject in SUBJECTS}
+    assert set(command_pages.every_command()) == {*commands.every(), *subjects}
     for name, command in command_pages.every_command().items():
         text = every[f"commands/{command_pages.page_name(name)}"]
         assert text.startswith(f"{page_text.MADE}# evetac {name}\n")
