@@ -18,8 +18,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
-from scipy.stats import rankdata
+from scipy import signal, stats
 
 from evetac_cli.arrays import Floats, Ints
 from evetac_cli.events import SLICE_US, SLICES_PER_S, Events
@@ -150,10 +149,7 @@ def largest_gap(first: NDArray, second: NDArray) -> float:
     """Return the largest difference of two samples' cumulative shares (Kolmogorov-Smirnov); NaN if one is empty."""
     if not len(first) or not len(second):
         return float("nan")
-    first, second = np.sort(first), np.sort(second)
-    places = np.concatenate([first, second])
-    shares = (np.searchsorted(one, places, side="right") / len(one) for one in (first, second))
-    return float(np.abs(np.subtract(*shares)).max())
+    return float(stats.ks_2samp(first, second, method="asymp").statistic)
 
 
 WINDOW_SLICES = 500  # of a window
@@ -278,7 +274,7 @@ def _together(picture: NDArray[np.int64]) -> list[float]:
 def area(first: Floats, second: Floats) -> float:
     """Return the share of pairs in which the second score is higher, ties half;"""
     assert len(first) and len(second)
-    ranks = rankdata(np.concatenate([first, second]))[len(first) :]
+    ranks = stats.rankdata(np.concatenate([first, second]))[len(first) :]
     return float((ranks.sum() - len(second) * (len(second) + 1) / 2) / (len(first) * len(second)))
 
 

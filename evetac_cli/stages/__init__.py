@@ -23,6 +23,11 @@ def per_file(files: list[Path], kind: str, out: Path | None) -> list[Job]:
     return [Job((file,), output_path(file, kind, out)) for file in files]
 
 
+def output_in(out: Path | None, folder: Path, name: str, suffix: str = ".h5") -> Path:
+    """Return `out` if it is the name of a file, otherwise a file of this name in the folder `out`, or in `folder`."""
+    return out if out is not None and out.suffix == suffix else (out or folder) / name
+
+
 def row_blocks(rows: int, most: int | None = None) -> Iterator[tuple[int, int]]:
     """Yield the ranges [first, stop) of rows to process together; one empty range if there are no rows."""
     most = most or BLOCK_ROWS

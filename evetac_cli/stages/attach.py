@@ -18,7 +18,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.formats.streams import aligned, on_clock_of_events, read_stream
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
-from evetac_cli.stages import one_file
+from evetac_cli.stages import one_file, output_in
 from evetac_cli.store.files import stem, up_to_date, write_stage
 from evetac_cli.store.hdf5.disk import existing_folder
 from evetac_cli.store.layout import rules
@@ -40,9 +40,7 @@ def jobs(files: list[Path], params: Attach, out: Path | None) -> list[Job]:
     if not sources:
         raise InputError("no stream to add", where="--stream", expected="NAME=FILE, e.g. arm=pose.csv")
     one_file(files, out)
-    if out is not None and out.suffix == ".h5":
-        return [Job((file,), out) for file in files]
-    return [Job((file,), (out or file.parent) / f"{stem(file)}-streams.{OUTPUT}.h5") for file in files]
+    return [Job((file,), output_in(out, file.parent, f"{stem(file)}-streams.{OUTPUT}.h5")) for file in files]
 
 
 def run(job: Job, params: Attach, *, force: bool = False, progress: Progress = silent) -> Outcome:

@@ -22,7 +22,7 @@ from evetac_cli.kernels.calibration import gel_layout, grid
 from evetac_cli.kernels.calibration.gel_layout import Grid
 from evetac_cli.sim.setup import sensor_file
 from evetac_cli.sim.setup.plan import one_sensor
-from evetac_cli.stages import calibrated_gel, one_file
+from evetac_cli.stages import calibrated_gel, one_file, output_in
 from evetac_cli.stages.calibrated_gel import FoundDots
 from evetac_cli.store.calibration import Calibration, read_calibration, read_quality, up_to_date, write_calibration
 from evetac_cli.store.files import stem
@@ -48,9 +48,7 @@ def jobs(files: list[Path], params: Calibrate, out: Path | None) -> list[Job]:
     if out is not None and out.suffix == ".h5":
         raise InputError("a calibration is a JSON file", where="--out", expected="NAME.json", found=str(out))
     one_file(sources, out, ".json")
-    if out is not None and out.suffix == ".json":
-        return [Job((sources[0],), out)]
-    return [Job((file,), (out or file.parent) / f"{stem(file)}.{OUTPUT}.json") for file in sources]
+    return [Job((file,), output_in(out, file.parent, f"{stem(file)}.{OUTPUT}.json", ".json")) for file in sources]
 
 
 def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress = silent) -> Outcome:
@@ -92,7 +90,6 @@ def run(job: Job, params: Calibrate, *, force: bool = False, progress: Progress 
             expected, found = f"jitter of at most {WORST_JITTER_PX:g} px rms", f"{jitter:.2f} px"
             raise InputError(message, where=where, expected=expected, found=found, hint=calibrated_gel.PRESS)
         figures = {"jitter_px_rms": jitter, "kept_from_default": from_default, **left_out}
-        figures |= _against_stored(recording, dots)
         calibration = Calibration(recording.frame_px, dots, radius, window)
         hot = gel_at_rest.hot_pixels(recording)
         if hot is not None:
@@ -214,17 +211,6 @@ def _refined(default: Grid, measured: Grid, where: str) -> tuple[Grid, int]:
     refined = default.reshape(-1, 2) + shift
     refined[near] = measured[nearest[near]]
     return refined.reshape(default.shape), int(np.isfinite(default[..., 0]).sum()) - len(near)
-
-
-def _against_stored(recording: Recording, dots: Grid) -> dict[str, float]:
-    """Return the error relative to the true grid stored in a simulated recording; nothing for a real one."""
-    stored = recording.dot_xy_px
-    if stored is None or not recording.has("truth/dot_xy_px"):
-        return {}
-    present = dots[np.isfinite(dots[..., 0])]
-    true = stored[np.isfinite(stored[..., 0])]
-    error = np.linalg.norm(present[:, None] - true[None], axis=2).min(axis=1)
-    return {"error_px_rms": float(np.sqrt((error**2).mean())), "error_px_worst": float(error.max())}
 
 
 STAGE = Stage(jobs, run)

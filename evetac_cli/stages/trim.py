@@ -24,7 +24,7 @@ from evetac_cli.commands.trim import Trim
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
-from evetac_cli.stages import one_file, row_blocks
+from evetac_cli.stages import one_file, output_in, row_blocks
 from evetac_cli.store.files import stem, up_to_date, write_stage
 from evetac_cli.store.layout import schema
 from evetac_cli.store.layout.provenance import Recipe
@@ -49,13 +49,10 @@ def jobs(files: list[Path], params: Trim, out: Path | None) -> list[Job]:
     if params.support_ms is not None and not params.denoise:
         raise InputError("has no effect", where="--support-ms", expected="--denoise", found="none")
     one_file(files, out)
-    if out is not None and out.suffix == ".h5":
-        return [Job((file,), out) for file in files]
     to = "end" if params.to_ms is None else f"{params.to_ms}"
     whole = params.denoise and not params.from_ms and params.to_ms is None
     called = ("" if whole else f"-{params.from_ms}-{to}ms") + ("-denoised" if params.denoise else "")
-    outputs = [(file, f"{stem(file)}{called}.{OUTPUT}.h5") for file in files]
-    return [Job((file,), (out or file.parent) / name) for file, name in outputs]
+    return [Job((file,), output_in(out, file.parent, f"{stem(file)}{called}.{OUTPUT}.h5")) for file in files]
 
 
 def run(job: Job, params: Trim, *, force: bool = False, progress: Progress = silent) -> Outcome:

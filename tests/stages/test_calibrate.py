@@ -112,7 +112,6 @@ def test_every_dot_from_scratch(pressed: Path, truth: Grid) -> None:
     row, path = calibrated(pressed)
     assert (row["dots"], row["missing_dots"], row["rows"], row["columns"], row["gel"]) == (63, 0, 7, 9, "closed")
     assert worst_px(path, truth) < 0.5
-    assert row["error_px_worst"] == pytest.approx(worst_px(path, truth), abs=1e-3)
     assert 0 < row["jitter_px_rms"] < 0.5
     assert row["radius_px"] == pytest.approx(9.0 - 0.6, abs=0.2)  # 0.6: see dot_search
     table = json.loads(path.read_text())
@@ -224,7 +223,7 @@ MOUNTED = {  # a picture, its window at 540 0 640 480 and its dots, as a sensor 
 def test_a_sensor_that_is_mounted_otherwise(
     how: str, cut: bool, halves: tuple[RestImage, RestImage], tmp_path: Path, truth: Grid, monkeypatch: Any
 ) -> None:
-    """Assert that all dots of a turned or mirrored sensor are found, with its window, and that it is said how."""
+    """Assert that all dots of a turned or mirrored sensor are found, with its window, and how it is mounted."""
     turned, places, window = MOUNTED[how]
     pressed = X < 520 if cut else X >= 0
     shown = tuple(RestImage(*(turned(side * pressed) for side in half)) for half in halves)
@@ -242,7 +241,9 @@ def test_a_sensor_that_is_mounted_otherwise(
             calibrated(path)
     row, made = calibrated(path, **size)
     assert (row["dots"], row["missing_dots"], row["window_px"]) == (56 if cut else 63, 0, window if cut else None)
-    assert f"the sensor seems to be {how}" in row["notes"]
+    shown_by_window = "mirrored or turned by 180 degrees" if cut and window.startswith("0 0") else None
+    said = "turned by 90 degrees" if "90" in how else shown_by_window
+    assert row["notes"] is None if said is None else f"the sensor seems to be {said}" in row["notes"]
     assert worst_px(made, places(truth[:, :8] if cut else truth)) < 0.5
 
 

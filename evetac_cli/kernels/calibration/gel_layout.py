@@ -12,8 +12,6 @@ from evetac_cli.kernels.calibration import grid
 
 ROWS, CLOSED_COLUMNS, CUT_COLUMNS = 7, 9, 8  # of an Evetac's gel
 WINDOW_SHARE = 100 / 640  # width of an Evetac's window, as a share of the frame's longer side
-CENTRE = (-0.15, -0.18)  # centre of an Evetac's dots relative to the middle of its frame, in pitches
-CLEARLY = 0.05  # in pitches; beyond this, the dots are clearly on one side of the middle of the frame
 CENTRED = 0.3  # in pitches: largest offset of a whole gel from the middle of the frame; 0.25 in a simulated sensor
 ROOM = 1.5  # in pitches from the outermost dots to the border of the frame: room for another row or column
 CLEARER = 0.5  # in pitches: extra room that the side of a window must have over every other side
@@ -91,29 +89,17 @@ def touches(window_px: Window, dot_xy_px: Grid, radius_px: float) -> bool:
 
 
 def mounting(dot_xy_px: Grid, frame_px: tuple[int, int], window_px: Window | None) -> str:
-    """Describe how a grid of an Evetac's size deviates from an upright sensor; empty if it does not."""
-    rows, columns = dot_xy_px.shape[:2]
+    """Describe how a grid of an Evetac's size deviates from an upright sensor, as far as its shape and window show it.
+
+    Empty if it does not. A closed gel that is mirrored or upside down looks like an upright one.
+    """
     upright = (ROWS, CLOSED_COLUMNS if window_px is None else CUT_COLUMNS)
-    if (columns, rows) == upright:
+    if dot_xy_px.shape[1::-1] == upright:
         return f"the sensor seems to be turned by 90 degrees: an Evetac has {upright[0]} rows of {upright[1]} dots"
-    beside = window_px is None or (window_px[1] == 0 and window_px[3] == frame_px[1])  # not above or below the dots
-    if (rows, columns) != upright or not beside:
-        return ""
-    free = margins(dot_xy_px, frame_px)
-    off = (free[:2] - free[2:]) / 2
-    if abs(off[1]) > CENTRED or (window_px is None and abs(off[0]) > CENTRED):
-        return ""  # in any mounting, an Evetac's dots are closer to the middle of the frame
-    lower = bool(off[1] > CLEARLY)
-    if window_px is not None and window_px[0] + window_px[2] < frame_px[0]:
-        how = "turned by 180 degrees" if lower else "mirrored left to right"
+    if dot_xy_px.shape[:2] == upright and window_px is not None and window_px[0] + window_px[2] < frame_px[0]:
+        how = "mirrored or turned by 180 degrees"
         return f"the sensor seems to be {how}: the window is at the left, an Evetac's is at the right"
-    righter = window_px is None and bool(off[0] > CLEARLY)
-    if not righter and not lower:
-        return ""
-    how = ("turned by 180 degrees" if lower else "mirrored left to right") if righter else "mirrored top to bottom"
-    x_px, y_px = np.round((off - CENTRE) * _without_gaps(dot_xy_px)[1]).astype(int)
-    where = " and ".join([f"{x_px} px farther right"] * righter + [f"{y_px} px lower"] * lower)
-    return f"the sensor seems to be {how}: the dots are {where} than an Evetac's"
+    return ""
 
 
 def _without_gaps(dot_xy_px: Grid) -> tuple[Grid, Grid]:

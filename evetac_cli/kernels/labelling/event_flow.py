@@ -52,17 +52,30 @@ RATIOS = (-1.0, 2.0)  # bounds on a dot's motion over the object's; noise makes 
 SLOW_PX_MS = 0.003  # added to speeds, so that much slower ones are treated alike
 
 
-class Odds(NamedTuple):
-    """Weights of the evidence: log odds = bias + follows * share that follows + speed * log(speed in px/ms).
+@dataclass(frozen=True)
+class EventFlowConstants:
+    """Constants of slip labels from counted events."""
 
-    seen_px: motion over which the evidence is measured. most: bound on the log odds of a single slice, either sign.
-    """
-
-    bias: float
-    follows: float
-    speed: float
-    seen_px: float
-    most: float
+    slip_distance_px: float = 0.3  # counted slide at the onset; 0.5 px in truth
+    lasting_px: float = 1.5  # a slide that continues this far is slip
+    pause_ms: int = 3  # longest pause within a slide, in slices
+    search_ms: int = 200  # longest time from the beginning of a slip to lasting_px
+    seen_px: float = 0.6  # motion over which it is measured whether a dot follows
+    bias: float = 4.2  # log odds of a slide: constant,
+    follows: float = -3.1  # ... plus this for each px that a dot moves per px of the object,
+    speed: float = 1.35  # ... plus this for each e-fold of the speed relative to the gel in px/ms
+    most: float = 3.0  # bound on the log odds of a single slice, either sign
+    trust: float = 0.45  # power of the posterior, below 1 because slices share their errors
+    doubtful_trust: float = 0.1  # ... smaller if the interval is wide, which widens it further
+    outside: float = 0.03  # posterior probability on either side of the interval
+    widest_px: float = 1.2  # the label abstains if the object slides farther within the interval,
+    least_confidence: float = 0.5  # ... or if a smaller share of the slices after the onset slips
+    look_ahead_ms: int = 4  # slices over which relative flow is summed
+    seen_slide_px: float = 10.0  # after a longer slide, the window's events measure nothing and relative flow is NaN
+    events_per_px: float = 500.0  # of the window before it has moved, until the recording determines it
+    fading_px: float = 30.0  # travel after which the window has half the events per px
+    least_events_per_px: float = 20.0  # of the window: with fewer it shows no texture
+    after_ms: int = 60  # slices labelled after the onset
 
 
 class Evidence(NamedTuple):
@@ -81,7 +94,9 @@ class LastingSlip(NamedTuple):
     width_px: float
 
 
-def evidence(object_px: Floats, away_px: Floats, base: int, first: int, stop: int, odds: Odds) -> Evidence:
+def evidence(
+    object_px: Floats, away_px: Floats, base: int, first: int, stop: int, constants: EventFlowConstants
+) -> Evidence:
     """Return the evidence of the slices [first, stop); object_px (slices + 1,) is the distance travelled by the object.
 
     away_px: distances of the dots from rest, with rows starting at slice `base`. They must cover HALF_MS + LAG_MS
@@ -97,13 +112,14 @@ def evidence(object_px: Floats, away_px: Floats, base: int, first: int, stop: in
     own_px = object_px[low + 1 : high + 1] - object_px[low:high]
     motion_px = np.maximum(own_px, 0.0) + np.abs(gel_px)
     slice_ = np.arange(first, stop)
-    begin, end, gel_sum_px = _windows(slice_, low, slices, motion_px, gel_px, 0.5 * odds.seen_px)
+    begin, end, gel_sum_px = _windows(slice_, low, slices, motion_px, gel_px, 0.5 * constants.seen_px)
     went_px = np.maximum(object_px[end] - object_px[begin], LEAST_PX)
     best = (away_px[end - base] - away_px[begin - base]).max(axis=1) / went_px
     speed = np.maximum(went_px - np.minimum(gel_sum_px, 0.0), LEAST_PX) / (end - begin)
-    log_odds = odds.bias + odds.follows * np.clip(best, *RATIOS) + odds.speed * np.log(speed + SLOW_PX_MS)
+    log_odds = constants.bias + constants.follows * np.clip(best, *RATIOS)
+    log_odds = log_odds + constants.speed * np.log(speed + SLOW_PX_MS)
     here = slice(first - low, stop - low)
-    return Evidence(np.clip(log_odds, -odds.most, odds.most), own_px[here] - gel_px[here])
+    return Evidence(np.clip(log_odds, -constants.most, constants.most), own_px[here] - gel_px[here])
 
 
 def _windows(
@@ -131,37 +147,27 @@ def _windows(
     return begin, end, gel_sum_px
 
 
-def find(
-    observed: Evidence,
-    start: int,
-    *,
-    slip_distance_px: float,
-    lasting_px: float,
-    pause_ms: int,
-    search_ms: int,
-    trust: float,
-    outside: float,
-) -> LastingSlip | None:
-    """Return the first slip that lasts, starting at slice `start`; None without one.
+def find(observed: Evidence, start: int, constants: EventFlowConstants, trust: float) -> LastingSlip | None:
+    """Return the first slip that lasts, starting at slice `start`, with an interval for this trust in the evidence.
 
-    `slip_distance_px`: slide of the object at the onset. `lasting_px`: a slide is slip if it continues this far, with
-    pauses of up to pause_ms. `search_ms`: longest time from its beginning until then. `trust`: power of the posterior.
-    `outside`: posterior probability before the interval, and after it.
+    None without one.
     """
     slid_px = np.maximum(observed.slide_px, 0.0)
-    sure = int(_lasting(observed.log_odds, slid_px, start, lasting_px, pause_ms))
+    sure = int(_lasting(observed.log_odds, slid_px, start, constants.lasting_px, constants.pause_ms))
     if sure < 0:
         return None
-    low = max(sure - search_ms, start)
+    low = max(sure - constants.search_ms, start)
     score = np.cumsum(observed.log_odds[low : sure + 1][::-1])[::-1]
     posterior = np.exp(trust * (score - score.max()))
     reached = np.cumsum(posterior / posterior.sum())
     so_far_px = np.concatenate([[0.0], np.cumsum(slid_px[low:])])
     begun_px = so_far_px[: len(score)]
     # For a slide that began in each slice: the onset is the first slice at whose end slip_distance_px is exceeded.
-    onset = np.minimum(np.searchsorted(so_far_px, begun_px + slip_distance_px, side="right") - 1, len(so_far_px) - 2)
-    earliest = int(onset[np.searchsorted(reached, outside)])
-    latest = int(onset[min(int(np.searchsorted(reached, 1.0 - outside)), len(onset) - 1)])
+    onset = np.minimum(
+        np.searchsorted(so_far_px, begun_px + constants.slip_distance_px, side="right") - 1, len(so_far_px) - 2
+    )
+    earliest = int(onset[np.searchsorted(reached, constants.outside)])
+    latest = int(onset[min(int(np.searchsorted(reached, 1.0 - constants.outside)), len(onset) - 1)])
     best = int(np.clip(onset[np.argmax(score)], earliest, latest))
     width_px = float(so_far_px[latest + 1] - so_far_px[earliest + 1])
     return LastingSlip(low + best, low + earliest, low + latest, width_px)
@@ -189,37 +195,6 @@ PRESET = "stable"  # of the tracker
 BLOCK_SLICES = 1000  # events are read in blocks of this many slices
 LEADING_DOTS = 3  # the dots that move farthest are taken to move with the object
 TRAVEL_PX = 1.5  # once the gel was dragged this far, a texture must have been seen
-
-
-@dataclass(frozen=True)
-class EventFlowConstants:
-    """Constants of slip labels from counted events; ValueError unless all are finite and in range."""
-
-    slip_distance_px: float = 0.3  # counted slide at the onset; 0.5 px in truth
-    lasting_px: float = 1.5  # a slide that continues this far is slip
-    pause_ms: int = 3  # longest pause within a slide, in slices
-    search_ms: int = 200  # longest time from the beginning of a slip to lasting_px
-    seen_px: float = 0.6  # motion over which it is measured whether a dot follows
-    bias: float = 4.2  # log odds of a slide: constant,
-    follows: float = -3.1  # ... plus this for each px that a dot moves per px of the object,
-    speed: float = 1.35  # ... plus this for each e-fold of the speed relative to the gel in px/ms
-    most: float = 3.0  # bound on the log odds of a single slice, either sign
-    trust: float = 0.45  # power of the posterior, below 1 because slices share their errors
-    doubtful_trust: float = 0.1  # ... smaller if the interval is wide, which widens it further
-    outside: float = 0.03  # posterior probability on either side of the interval
-    widest_px: float = 1.2  # the label abstains if the object slides farther within the interval,
-    least_confidence: float = 0.5  # ... or if a smaller share of the slices after the onset slips
-    look_ahead_ms: int = 4  # slices over which relative flow is summed
-    seen_slide_px: float = 10.0  # after a longer slide, the window's events measure nothing and relative flow is NaN
-    events_per_px: float = 500.0  # of the window before it has moved, until the recording determines it
-    fading_px: float = 30.0  # travel after which the window has half the events per px
-    least_events_per_px: float = 20.0  # of the window: with fewer it shows no texture
-    after_ms: int = 60  # slices labelled after the onset
-
-    @property
-    def odds(self) -> Odds:
-        """Weights of the evidence of a slide."""
-        return Odds(self.bias, self.follows, self.speed, self.seen_px, self.most)
 
 
 def label(
@@ -263,7 +238,7 @@ def label(
             f"found {rate.per_px[-1]:.1f} while the gel was dragged by {dragged:.1f} px"
         )
     per_px = np.maximum(rate.per_px, constants.least_events_per_px)
-    evidence = _evidence(window_travel.travel(moved, per_px, constants.fading_px), follow(*arguments), constants.odds)
+    evidence = _evidence(window_travel.travel(moved, per_px, constants.fading_px), follow(*arguments), constants)
     return _labels(evidence, rate.is_known, start, constants)
 
 
@@ -295,7 +270,9 @@ def _quiet_pixels(between: Between, slices: int, window: Region) -> NDArray[np.b
     return window_travel.quiet_pixels(busy, slices)
 
 
-def _evidence(object_px: Floats, blocks: Iterator[tuple[int, Events, Floats]], odds: Odds) -> Evidence:
+def _evidence(
+    object_px: Floats, blocks: Iterator[tuple[int, Events, Floats]], constants: EventFlowConstants
+) -> Evidence:
     """Return the evidence of all slices; the motion of the dots comes in blocks."""
     slices = len(object_px) - 1
     parts: list[Evidence] = []
@@ -306,7 +283,7 @@ def _evidence(object_px: Floats, blocks: Iterator[tuple[int, Events, Floats]], o
         known_slices = first + len(more_px) - 1
         until = slices if known_slices == slices else max(known_slices - HALF_MS, done)
         if until > done:
-            parts.append(evidence(object_px, away_px, base, done, until, odds))
+            parts.append(evidence(object_px, away_px, base, done, until, constants))
         done = until
         keep = max(done - HALF_MS - LAG_MS, 0)
         away_px, base = away_px[max(keep - base, 0) :], max(keep, base)
@@ -324,7 +301,7 @@ def _labels(evidence: Evidence, rate_known: NDArray[np.bool_], start: int, const
     relative_px = (gone_px[ends] - gone_px[:-1]).astype(np.float32)
     labels = np.zeros(slices, np.int8)
     labels[:start] = -1
-    found = _find(evidence, start, constants, constants.trust)
+    found = find(evidence, start, constants, constants.trust)
     if found is None:
         return Labels(labels, relative_px, -1, float("nan"), 0)
     stop = min(found.onset + max(constants.after_ms, 1), slices)
@@ -336,25 +313,11 @@ def _labels(evidence: Evidence, rate_known: NDArray[np.bool_], start: int, const
     relative_px[found.onset :][np.logical_or.accumulate(far[found.onset :])] = np.nan
     confidence = float(slides.mean())
     if found.width_px > constants.widest_px:
-        wider = _find(evidence, start, constants, constants.doubtful_trust)
+        wider = find(evidence, start, constants, constants.doubtful_trust)
         found = found if wider is None else wider._replace(onset=found.onset)
     doubt = _doubt(found, confidence, bool(rate_known[found.onset]), constants)
     result = Labels(labels, relative_px, found.onset, confidence, 0, found.earliest, found.latest, doubt)
     return apart(result) if doubt else result
-
-
-def _find(evidence: Evidence, start: int, constants: EventFlowConstants, trust: float) -> LastingSlip | None:
-    """Return the first slip that lasts, with an interval for this trust in the evidence."""
-    return find(
-        evidence,
-        start,
-        slip_distance_px=constants.slip_distance_px,
-        lasting_px=constants.lasting_px,
-        pause_ms=constants.pause_ms,
-        search_ms=constants.search_ms,
-        trust=trust,
-        outside=constants.outside,
-    )
 
 
 def _doubt(found: LastingSlip, confidence: float, rate_known: bool, constants: EventFlowConstants) -> str:

@@ -9,36 +9,33 @@ The time t_s begins at the start of the recording. A force that was not measured
 the object on the gel, x to the right and y down in the image, as `truth/shear_force_n` of simulated recordings.
 """
 
+import csv
+import hashlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.errors import InputError
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Job, Outcome, Progress, outcome, silent
 from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.force.gel_forces import KnownForces
+from evetac_cli.stages import output_in
+from evetac_cli.stages.related_files import recording_with_truth
 from evetac_cli.stages.touch import known_gel, predict_touch
 from evetac_cli.stages.touch.known_gel import GelShape, GelWeights
-from evetac_cli.store.files import StageFile, up_to_date, write_stage
+from evetac_cli.store.files import StageFile, stem, up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.read import UNKNOWN_SENSOR
+from evetac_cli.text_files import read_text
 
 if TYPE_CHECKING:
     from evetac_cli.stages.touch.touch_fold import Slices
-
-import csv
-import hashlib
-from typing import NamedTuple
-
-from evetac_cli.arrays import Floats
-from evetac_cli.events import SLICES_PER_S
-from evetac_cli.stages.related_files import recording_with_truth
-from evetac_cli.store.files import stem
-from evetac_cli.text_files import read_text
 
 Fold = Callable[[GelWeights, StageFile], "Slices"]
 
@@ -139,8 +136,7 @@ def _from_table(path: Path, slices: int) -> Readings:
 def job(files: list[Path], params: TrainForce, out: Path | None) -> Job:
     """Return the job of one model from all tracks files: `own.force-model.h5` next to the first."""
     predict_touch.check_depth(params.print_depth_mm, params.height_mm)
-    output = out if out is not None and out.suffix == ".h5" else (out or files[0].parent) / f"own.{OUTPUT}.h5"
-    return Job(tuple(files), output)
+    return Job(tuple(files), output_in(out, files[0].parent, f"own.{OUTPUT}.h5"))
 
 
 def run(job: Job, params: TrainForce, *, force: bool, progress: Progress = silent) -> Outcome:

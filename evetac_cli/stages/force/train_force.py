@@ -21,6 +21,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.calibration.grid import in_words
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.names import TouchOption
+from evetac_cli.stages import output_in
 from evetac_cli.stages.force import adapt_touch
 from evetac_cli.stages.related_files import check_disjoint, check_same, recording_with_truth
 from evetac_cli.stages.track_rgb import PRESET
@@ -69,8 +70,7 @@ def jobs(files: list[Path], params: TrainForce, out: Path | None) -> list[Job]:
         return [adapt_touch.job(files, params, out)]
     if len(files) < 2:
         raise InputError("no file is left to hold out", expected="at least two tracks files", hint=made_by("tracks"))
-    output = out if out is not None and out.suffix == ".h5" else (out or files[0].parent) / f"shear.{OUTPUT}.h5"
-    return [Job(tuple(files), output)]
+    return [Job(tuple(files), output_in(out, files[0].parent, f"shear.{OUTPUT}.h5"))]
 
 
 def run(job: Job, params: TrainForce, *, force: bool = False, progress: Progress = silent) -> Outcome:

@@ -21,6 +21,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.sim.setup import plan, sensor_file
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.sim.setup.sensor_file import FOR_EACH_TRIAL
+from evetac_cli.stages import output_in
 from evetac_cli.stages.identify.sensor_text import NOT_ESTIMATED, Entry, EstimateRow, sensor_text
 from evetac_cli.store.files import stem
 from evetac_cli.store.hdf5.disk import Recheck, taking_the_place_of
@@ -40,9 +41,8 @@ def jobs(files: list[Path], params: Identify, out: Path | None) -> list[Job]:
     sensor_file.check_name(params.name, "--name")
     if out is not None and out.suffix in (".h5", ".json"):
         raise InputError("a sensor is a TOML file", where="--out", expected="a name that ends in .toml", found=str(out))
-    if out is not None and out.suffix == sensor_file.SUFFIX:
-        return [Job(tuple(files), out)]
-    return [Job(tuple(files), (out or files[0].parent) / f"{stem(files[0])}.{OUTPUT}.toml")]
+    name = f"{stem(files[0])}.{OUTPUT}.toml"
+    return [Job(tuple(files), output_in(out, files[0].parent, name, sensor_file.SUFFIX))]
 
 
 def run(job: Job, params: Identify, *, force: bool = False, progress: Progress = silent) -> Outcome:

@@ -6,7 +6,7 @@ beyond first touch as a function of current (by fingers and gel), backlash, and 
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ STARTS_MA_S_M = (150.0, 400.0)  # initial values of the damping
 BLOCK_MS, BLOCK_ROWS = 20.0, 10  # block over which positions are averaged
 COUNTED_MS = 60.0  # rows used after a new current; while the gripper still moves, rows are used for longer
 REST_MS = 30  # left out at both ends of a rest, where the motor may still move
+SCALES = np.array([0.05, 0.3, 0.5, 0.1, 1.0, 1.0, 2.0, 0.5])  # of the parameters as fitted
 LARGE_TICKS = 1.0  # larger residuals have less weight
 
 
@@ -71,23 +72,16 @@ def fit(rows: GripperRows) -> DriveFit:
         off: Floats = np.bincount(block[counted], (motor[at] - 0.5 - place)[counted]) / in_block
         return off
 
-    best = None
+    touch, first = start["touch_ticks"], start["first_ticks"]
+    low = [*np.log([0.3, 5.0, 0.05, 0.05]), 0.0, 0.0, touch - 60.0, first - 2.0]
+    high = [*np.log([200.0, 1e4, 200.0, 10.0]), 20.0, 20.0, touch + 60.0, first + 2.0]
+    how: dict[str, Any] = {"loss": "soft_l1", "f_scale": LARGE_TICKS, "diff_step": 1e-3, "x_scale": SCALES}
+    tries = []
     for damping in STARTS_MA_S_M:
-        first = _vector({**start, "damping_ma_s_m": damping})
-        low, high = _bounds(start)
-        tried = least_squares(
-            residuals,
-            np.clip(first, low, high),
-            bounds=(low, high),
-            loss="soft_l1",
-            f_scale=LARGE_TICKS,
-            diff_step=1e-3,
-            x_scale=_scales(),
-            max_nfev=40,
-        )
-        if best is None or tried.cost < best.cost:
-            best = tried
-    assert best is not None
+        values = {**start, "damping_ma_s_m": damping}
+        guess = [np.log(values[name]) if k < LOG else values[name] for k, name in enumerate(NAMES)]
+        tries.append(least_squares(residuals, np.clip(guess, low, high), bounds=(low, high), max_nfev=40, **how))
+    best = min(tries, key=lambda one: one.cost)
     off = residuals(best.x)
     sd = _spread(best.jac, off)
     values = _by_name(best.x)
@@ -177,27 +171,11 @@ def _simulated(values: dict[str, float], current_ma: Floats) -> tuple[Floats, Fl
     return motor, np.interp(finger - touch, ticks, force_ma)
 
 
-def _vector(values: dict[str, float]) -> Floats:
-    return np.array([np.log(values[name]) if k < LOG else values[name] for k, name in enumerate(NAMES)])
-
-
 def _by_name(parameters: Floats) -> dict[str, float]:
     return {
         name: float(np.exp(value) if k < LOG else value)
         for k, (name, value) in enumerate(zip(NAMES, parameters, strict=True))
     }
-
-
-def _bounds(start: dict[str, float]) -> tuple[Floats, Floats]:
-    touch = start["touch_ticks"]
-    first = start["first_ticks"]
-    low = [*np.log([0.3, 5.0, 0.05, 0.05]), 0.0, 0.0, touch - 60.0, first - 2.0]
-    high = [*np.log([200.0, 1e4, 200.0, 10.0]), 20.0, 20.0, touch + 60.0, first + 2.0]
-    return np.array(low), np.array(high)
-
-
-def _scales() -> Floats:
-    return np.array([0.05, 0.3, 0.5, 0.1, 1.0, 1.0, 2.0, 0.5])
 
 
 def _spread(jacobian: Floats, off: Floats) -> Floats:

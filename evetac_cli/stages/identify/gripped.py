@@ -5,7 +5,7 @@ creep, and when the object slips. Only the weight is a known force; parameters t
 the force per current.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -75,9 +75,10 @@ class Gripped:
 
 
 def find(recording: Recording, mm_per_px: float, rng: np.random.Generator) -> Gripped | None:
-    """Return the estimates of gripper and gel from a recording; None if it has no gripper rows. `truth` is not used."""
-    if not recording.has("gripper/t_us"):
-        return None
+    """Return the estimates of gripper and gel from a recording with gripper rows, without using `truth`.
+
+    None if there are no rows, or if a current is not finite.
+    """
     source = recording.path.name
     time_us = recording.read("gripper/t_us")
     looked_at = slice(0, int(np.searchsorted(time_us, 1000 * LONGEST_MS)))
@@ -119,13 +120,6 @@ def find(recording: Recording, mm_per_px: float, rng: np.random.Generator) -> Gr
 def _why(source: str, reason: object) -> str:
     """Return the note why a recording does not allow the estimates of a grip."""
     return f"cannot be estimated from {source}: {reason}; make one like the scene grip-steps (docs/identify.md)"
-
-
-def merged(grips: Sequence[Gripped]) -> tuple[dict[str, Gripped], Gripped]:
-    """Return for each part the first recording with an estimate, and all parts together."""
-    parts = ("drive", "encoder_ticks", "delay_ms", "jitter_ms", "gain_ma_tick", "weight")
-    tells = {part: one for part in parts for one in reversed(grips) if getattr(one, part) is not None}
-    return tells, Gripped("", **{part: getattr(one, part) for part, one in tells.items()})
 
 
 def _gain(recording: Recording, rows: GripperRows, rng: np.random.Generator) -> Estimate:

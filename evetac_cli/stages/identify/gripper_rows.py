@@ -20,7 +20,7 @@ from evetac_cli.kernels.estimates import LEVEL, Estimate
 from evetac_cli.sim import gripper
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.stages.identify.drive import DriveFit
-from evetac_cli.stages.identify.gripped import Gripped, Weight, merged
+from evetac_cli.stages.identify.gripped import Gripped, Weight
 from evetac_cli.stages.identify.sensor_text import Entry, EstimateRow
 
 MAKE_GRIP = "cannot be estimated from these recordings: make one like the scene grip-steps (docs/identify.md)"
@@ -56,34 +56,28 @@ def rows(grips: Sequence[Gripped], priors: Identify, like: Sensor) -> tuple[list
 
     like: the sensor with the values of all other keys.
     """
-    tells, known_parts = merged(grips)
-    source = {part: one.source for part, one in tells.items()}
     usual = gripper.make_drive(like.gripper)
     scale_n_ma = priors.force_per_current or usual.force_per_current_n_ma
-    listed: list[EstimateRow] = []
-    keys: dict[str, Any] = {}
-    if known_parts.drive is not None:
-        keys |= _drive_keys(known_parts.drive, known_parts.gain_ma_tick, usual, scale_n_ma, source["drive"])
     misfits = {part: why for one in reversed(grips) for part, why in one.misfits.items()}
     no_drive = misfits.get("drive", MAKE_GRIP)
-    listed += _drive_rows(known_parts.drive, source.get("drive", no_drive))
-    for part, key, unit, widest in (
-        ("encoder_ticks", "encoder_noise_ticks", "ticks", math.inf),
-        ("delay_ms", "command_delay_ms", "ms", DELAY_MS),
-        ("jitter_ms", "command_jitter_ms", "ms", JITTER_MS),
+    drive, drive_from = _told(grips, "drive", no_drive)
+    gain, gain_from = _told(grips, "gain_ma_tick", misfits.get("gain", MAKE_GRASP))
+    keys = {} if drive is None else _drive_keys(drive, gain, usual, scale_n_ma, drive_from)
+    listed = _drive_rows(drive, drive_from)
+    for part, key, unit, widest, why in (
+        ("encoder_ticks", "encoder_noise_ticks", "ticks", math.inf, no_drive),
+        ("delay_ms", "command_delay_ms", "ms", DELAY_MS, MAKE_GRIP),
+        ("jitter_ms", "command_jitter_ms", "ms", JITTER_MS, MAKE_GRIP),
     ):
-        estimate = getattr(known_parts, part)
+        estimate, source = _told(grips, part, why)
         if part == "encoder_ticks" and estimate is not None:
             low, high = estimate.low - ENCODER_LOW_TICKS, estimate.high + ENCODER_HIGH_TICKS
             estimate = Estimate(estimate.value, max(low, 0.0), high)
         if estimate is not None and estimate.high - estimate.low > widest:
-            estimate = None
+            estimate, source = None, why
         if estimate is not None:
-            keys[key] = Entry(estimate.value, estimate, source[part])
-        why = no_drive if part == "encoder_ticks" else MAKE_GRIP
-        listed.append(EstimateRow(f"gripper.{key}", unit, estimate, why if estimate is None else source[part]))
-    gain = known_parts.gain_ma_tick
-    gain_from = source.get("gain_ma_tick", misfits.get("gain", MAKE_GRASP))
+            keys[key] = Entry(estimate.value, estimate, source)
+        listed.append(EstimateRow(f"gripper.{key}", unit, estimate, source))
     listed.append(EstimateRow("gripper: servo gain", "mA/tick", gain, gain_from))
     force_per_current = priors.force_per_current
     scale = None if force_per_current is None else Estimate(force_per_current, force_per_current, force_per_current)
@@ -99,6 +93,11 @@ def rows(grips: Sequence[Gripped], priors: Identify, like: Sensor) -> tuple[list
         keys["force_per_current_n_ma"] = Entry(scale_n_ma, None, scale_from)
         values["gripper"] = Entry(keys, None, "forces are valid only for the force per current below")
     return listed, values
+
+
+def _told(grips: Sequence[Gripped], part: str, why_none: str) -> tuple[Any, str]:
+    """Return a part of the first recording with an estimate of it, and its name; None, and why, if there is none."""
+    return next(((getattr(one, part), one.source) for one in grips if getattr(one, part) is not None), (None, why_none))
 
 
 def _drive_rows(fit: DriveFit | None, source: str) -> list[EstimateRow]:

@@ -1,8 +1,8 @@
 """Estimates without a gripper: the camera's noise from the longest rest; dots, optics and thresholds from a press."""
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +14,14 @@ from evetac_cli.kernels.estimates import Estimate
 from evetac_cli.kernels.identify import dots, rest, thresholds
 from evetac_cli.kernels.identify.dots import Optics, RimProfile, Runs
 from evetac_cli.kernels.identify.rest import RestNoise
-from evetac_cli.kernels.identify.thresholds import Polarity, StrokeEvents
+from evetac_cli.kernels.identify.thresholds import StrokeEvents
 from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.sim.setup.tables import as_table
 from evetac_cli.stages import calibrate, calibrated_gel, gel_at_rest
 from evetac_cli.stages.identify.sensor_text import Entry, EstimateRow
 from evetac_cli.store.recordings.read import Recording
 
+T = TypeVar("T")
 SHORTEST_REST = 500  # slices
 LONGEST_REST = 60_000  # slices that are used
 MOST_EVENTS = 20_000_000  # events that are used
@@ -181,18 +182,27 @@ def find(
     fitted, profile = dots.fit_rims(runs, expected[looked_for], radius_px, log_contrast)
     places_px = np.full(seen.shape, np.nan)
     places_px[looked_for] = fitted.centre_xy_px
-    ratio = _polarity(events, 0.5 * noise_hz * seconds, rng)
+    of_polarity = events.on.sum(axis=0), events.off.sum(axis=0)
+    ratio = _if_enough(thresholds.of_either_polarity, *of_polarity, 0.5 * noise_hz * seconds, rng)
     off_over_on = ratio.off_over_on.value if ratio else 1.0
     optics = dots.optics(fitted, events.kept_share, off_over_on, noise_hz, rng)
     whole = optics.contrast_over_threshold.value
     is_apart = ratio is not None and (ratio.mismatch.low > APART or ratio.mismatch.value > 1.5 * APART)
+    if ratio and is_apart:
+        mismatch: Estimate | None = ratio.mismatch
+    else:  # each pixel has one threshold for both polarities
+        mismatch = _if_enough(thresholds.of_both_polarities, *events.events, whole, rng)
+    lens_k1 = None
+    if printed_xy is not None and printed_xy.shape == places_px.shape:
+        present = np.isfinite(places_px[..., 0])
+        lens_k1 = _if_enough(dots.distortion, places_px[present], printed_xy[present], recording.frame_px)
     return Press(
         dot_xy_px=places_px,
         jitter_px=jitter_px,
         optics=optics,
-        lens_k1=_lens(places_px, printed_xy, recording.frame_px),
+        lens_k1=lens_k1,
         off_over_on=thresholds.without_last_thresholds(ratio.off_over_on, whole) if ratio else None,
-        mismatch=ratio.mismatch if ratio and is_apart else _beside(events, whole, rng),
+        mismatch=mismatch,
         is_apart=is_apart,
         profile=profile,
         frame_px=recording.frame_px,
@@ -229,29 +239,10 @@ def _filled(seen: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(present[..., None], seen, expected)
 
 
-def _polarity(events: StrokeEvents, noise: float, rng: np.random.Generator) -> Polarity | None:
+def _if_enough(estimate: Callable[..., T], *inputs: Any) -> T | None:
+    """Return the estimate from these inputs; None if they do not suffice."""
     try:
-        return thresholds.of_either_polarity(events.on.sum(axis=0), events.off.sum(axis=0), noise, rng)
-    except ValueError:  # too few events
-        return None
-
-
-def _beside(events: StrokeEvents, contrast_over_threshold: float, rng: np.random.Generator) -> Estimate | None:
-    """Return the spread of the thresholds if each pixel has one for both ON and OFF; None with too few events."""
-    try:
-        return thresholds.of_both_polarities(events.events[0], events.events[1], contrast_over_threshold, rng)
-    except ValueError:
-        return None
-
-
-def _lens(
-    places_px: NDArray[np.float64], printed_xy: NDArray[np.float64] | None, frame_px: tuple[int, int]
-) -> Estimate | None:
-    if printed_xy is None or printed_xy.shape != places_px.shape:
-        return None
-    present = np.isfinite(places_px[..., 0])
-    try:
-        return dots.distortion(places_px[present], printed_xy[present], frame_px)
+        return estimate(*inputs)
     except ValueError:
         return None
 
@@ -289,24 +280,15 @@ def rows(press: Press | None, like: Sensor, why_none: str = "") -> tuple[list[Es
         EstimateRow(name, unit, one, otherwise if one is None else source)
         for (name, unit), (one, otherwise) in zip(UNITS.items(), estimates, strict=True)
     ]
-    entries = _entries(press, like.log_contrast, half_px if whole else None)
-    return [*listed, *never], entries | _without(like, entries)
+    return [*listed, *never], _entries(press, like, half_px if whole else None)
 
 
-def _without(like: Sensor, estimated: Mapping[str, Entry]) -> dict[str, Entry]:
-    """Return neutral values for keys of `like` that were not found in the press, as on a sensor without them."""
-    none: dict[str, Any] = {"threshold_off": estimated["threshold"].value}
-    none |= {"dot_radius_spread": 0.0, "dot_contrast_spread": 0.0}
-    if "dot_xy_px" in estimated:  # already as seen: a lens would move them again
-        none["distortion"] = np.zeros(2)
-    table = as_table(like)
-    names = [name for name in none if name in table and name not in estimated]
-    return {name: Entry(none[name], None, "not significant in the press") for name in names}
+def _entries(press: Press, like: Sensor, half_px: float | None) -> dict[str, Entry]:
+    """Return keys of the sensor's file.
 
-
-def _entries(press: Press, log_contrast: float, half_px: float | None) -> dict[str, Entry]:
-    """Return keys of the sensor's file; a spread, a lens and a second threshold only if they are significant."""
-    optics, source = press.optics, press.source
+    A spread, a lens or a second threshold that is not significant is set to none if `like` has one.
+    """
+    optics, source, log_contrast = press.optics, press.source, like.log_contrast
     ratio = optics.contrast_over_threshold
     threshold = Estimate(log_contrast / ratio.value, log_contrast / ratio.high, log_contrast / ratio.low)
     values = {
@@ -315,10 +297,9 @@ def _entries(press: Press, log_contrast: float, half_px: float | None) -> dict[s
         "log_contrast": Entry(log_contrast, None, "not estimated: events depend only on contrast over threshold"),
         "threshold": Entry(threshold.value, threshold, f"{source}, for this log_contrast"),
     }
-    for key, one in (
-        ("dot_radius_spread", optics.dot_radius_spread),
-        ("dot_contrast_spread", optics.dot_contrast_spread),
-    ):
+    none: dict[str, Any] = {"threshold_off": threshold.value, "dot_radius_spread": 0.0, "dot_contrast_spread": 0.0}
+    for key in ("dot_radius_spread", "dot_contrast_spread"):
+        one: Estimate = getattr(optics, key)
         if one.low > 0.0:
             values[key] = Entry(one.value, one, source)
     off_over_on = press.off_over_on
@@ -328,17 +309,20 @@ def _entries(press: Press, log_contrast: float, half_px: float | None) -> dict[s
     if press.mismatch is not None:
         values["mismatch"] = Entry(press.mismatch.value, press.mismatch, source)
     k1 = press.informative_lens_k1
-    is_curved = k1 is not None and not k1.low <= 0.0 <= k1.high
-    if k1 is not None and is_curved:
+    if k1 is not None and k1.low <= 0.0 <= k1.high:
+        k1 = None
+    if k1 is not None:
         values["distortion"] = Entry(np.array([k1.value, 0.0]), k1, f"k1; {source}")
-    if half_px is not None:
-        places = _filled(press.dot_xy_px)
-        if k1 is not None and is_curved:
+    places = _filled(press.dot_xy_px)
+    if half_px is not None and np.isfinite(places).all():
+        none["distortion"] = np.zeros(2)  # already as seen: the lens of `like` would move them again
+        if k1 is not None:
             places = dots.without_lens(places, k1.value, press.frame_px)
         missing = press.dot_xy_px[..., 0].size - press.dots
-        about = f"each within {half_px:.2g} px in x and in y{' without the lens' if is_curved else ''}; {source}"
+        about = f"each within {half_px:.2g} px in x and in y{'' if k1 is None else ' without the lens'}; {source}"
         if missing:
             about += f"; {missing} that were not seen are at positions expected from the others"
-        if np.isfinite(places).all():
-            values["dot_xy_px"] = Entry(places, None, about)
-    return values
+        values["dot_xy_px"] = Entry(places, None, about)
+    of_like = as_table(like)
+    not_shown = {key: one for key, one in none.items() if key in of_like and key not in values}
+    return values | {key: Entry(one, None, "not significant in the press") for key, one in not_shown.items()}

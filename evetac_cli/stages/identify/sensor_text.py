@@ -1,6 +1,7 @@
 """The text of a sensor's TOML file: the estimated keys, each with its interval and source, and notes on the others."""
 
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -74,22 +75,14 @@ def _value(value: Any, column: str = "") -> str:
     if isinstance(value, np.ndarray):
         # a share of changes must not be rounded above what the share of ON allows
         round_down = column == "polarity_change_share"
-        return _in_lines([_number(item, round_down=round_down) for item in value.tolist()])
+        items = ", ".join(_number(item, round_down=round_down) for item in value.tolist())
+        indent: dict[str, Any] = {"initial_indent": "    ", "subsequent_indent": "    ", "break_on_hyphens": False}
+        return f"[\n{textwrap.fill(f'{items},', LINE, **indent)}\n]"
     return _number(value)
 
 
 def _row(row: Any) -> str:
     return "[" + ", ".join(_row(item) if np.ndim(item) else _number(float(item)) for item in row) + "]"
-
-
-def _in_lines(items: Sequence[str]) -> str:
-    lines, line = [], "    "
-    for item in items:
-        if len(line) + len(item) > LINE:
-            lines.append(line.rstrip())
-            line = "    "
-        line += f"{item}, "
-    return "[\n" + "\n".join([*lines, line.rstrip()]) + "\n]"
 
 
 def _number(value: float | int, *, round_down: bool = False) -> str:

@@ -36,7 +36,7 @@ from evetac_cli.kernels.slip.architectures import (
 )
 from evetac_cli.resources import model_file
 from evetac_cli.sim.setup.plan import numbers
-from evetac_cli.stages import one_file
+from evetac_cli.stages import one_file, output_in
 from evetac_cli.stages.model_files import (
     TRUE_SLIP_SHARE,
     USELESS_HINT,
@@ -115,8 +115,7 @@ def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
     for seed in range(params.seed, params.seed + params.seeds):
         horizon_ms = f"-{settings.horizon_ms}ms" if settings.horizon_ms else ""
         number = f"-s{seed}" if params.seeds > 1 else ""
-        name = f"{settings.model}{horizon_ms}{number}.model.h5"
-        output = out if out is not None and out.suffix == ".h5" else (out or learn[0].parent) / name
+        output = output_in(out, learn[0].parent, f"{settings.model}{horizon_ms}{number}.model.h5")
         trainings.append(TrainJob((*learn, *validate), output, len(learn), seed, withheld))
     return trainings
 

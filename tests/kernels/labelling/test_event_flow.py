@@ -1,6 +1,7 @@
 """Slip labels by counting: the onset of known slides, its interval, and when labels abstain."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -225,14 +226,15 @@ def test_the_slide_that_is_found_is_the_one_that_lasts() -> None:
     log_odds, slide_px = np.full(slices, -3.0), np.zeros(slices)
     for first, last in ((100, 105), (200, 300)):
         log_odds[first:last], slide_px[first:last] = 3.0, 0.1
-    how = {"slip_distance_px": 0.4, "lasting_px": 1.5, "pause_ms": 3, "search_ms": 200, "trust": 0.4, "outside": 0.03}
-    sure = event_flow.find(event_flow.Evidence(log_odds, slide_px), 0, **how)
+    constants = replace(CONSTANTS, slip_distance_px=0.4)
+    sure = event_flow.find(event_flow.Evidence(log_odds, slide_px), 0, constants, 0.4)
     assert sure is not None
     assert abs(sure.onset - 204) <= 1
     assert sure.width_px <= 0.3
     log_odds[190:200], slide_px[190:200] = -0.1, 0.1  # nearly as good
-    doubt = event_flow.find(event_flow.Evidence(log_odds, slide_px), 0, **how)
+    doubt = event_flow.find(event_flow.Evidence(log_odds, slide_px), 0, constants, 0.4)
     assert doubt is not None
     assert doubt.earliest < 200 <= doubt.latest <= sure.latest
     assert doubt.width_px > 0.5
-    assert event_flow.find(event_flow.Evidence(log_odds, slide_px), 250, **{**how, "lasting_px": 9.0}) is None
+    longer = replace(constants, lasting_px=9.0)
+    assert event_flow.find(event_flow.Evidence(log_odds, slide_px), 250, longer, 0.4) is None

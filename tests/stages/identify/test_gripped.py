@@ -283,15 +283,6 @@ def test_truth_is_never_read(grip: Path, tmp_path: Path, monkeypatch: pytest.Mon
         assert gripped.find(recording, 0.0329, np.random.default_rng(0)) is None
 
 
-def test_a_recording_without_a_gripper(tmp_path: Path) -> None:
-    """Assert that one without rows of a gripper tells nothing of it."""
-    (tmp_path / "rest.toml").write_text(scene_file.changed("rest", {"time": {"rest_s": 0.1}}))
-    chosen = Record(scene=str(tmp_path / "rest.toml"))
-    output, _ = run_stage(record, [], chosen, tmp_path / "rest.recording.h5")
-    with open_recording(output) as recording:
-        assert gripped.find(recording, 0.0329, np.random.default_rng(0)) is None
-
-
 def test_a_scene_without_a_current_to_follow(tmp_path: Path) -> None:
     """Assert that --current-of refuses a scene that names no current for the gripper."""
     asked = Record(camera="virtual", gripper="virtual", current_of="slip", dry_run=True)
