@@ -308,14 +308,11 @@ def check_range(
     if low < value < high or (value == low and not above) or (value == high and not below):
         return
     after = f" {unit}" if unit else ""
-    if high >= sys.float_info.max:
-        expected = f"above {low:g}{after}" if above else f"{low:g}{after} or more"
-    elif above:
-        expected = f"above {low:g}, {'below' if below else 'up to'} {high:g}{after}"
+    expected = f"above {low:g}" if above else f"{low:g}"
+    if high < sys.float_info.max:
+        expected += f" to {'below ' if below else ''}{high:g}{after}"
     else:
-        expected = f"{low:g} to {'below ' if below else ''}{high:g}{after}"
-    if high == sys.float_info.max and math.isinf(value):
-        expected += ", finite"
+        expected += f"{after}{'' if above else ' or more'}{', finite' if math.isinf(value) else ''}"
     raise ValueError(f"{name}: expected {expected}, found {value}")
 
 

@@ -60,8 +60,8 @@ def test_extras_that_pages_name_can_be_installed(page: Path) -> None:
         (0.0, {"above": True}, "above 0, found 0.0"),
         (101.0, {"high": 100, "unit": "ticks"}, "0 to 100 ticks, found 101.0"),
         (1.0, {"high": 1.0, "below": True}, "0 to below 1, found 1.0"),
-        (0.0, {"high": 1.0, "above": True}, "above 0, up to 1, found 0.0"),
-        (1.0, {"high": 1.0, "above": True, "below": True}, "above 0, below 1, found 1.0"),
+        (0.0, {"high": 1.0, "above": True}, "above 0 to 1, found 0.0"),
+        (1.0, {"high": 1.0, "above": True, "below": True}, "above 0 to below 1, found 1.0"),
     ],
 )
 def test_a_number_out_of_range_is_refused(value: float, ends: dict[str, float], words: str) -> None:

@@ -5,6 +5,9 @@ from pathlib import Path
 
 from evetac_cli.commands.parameter import Command, parameter
 
+FOUND = "dots that are searched (no --refine, no sensor file)"
+OF_SENSOR = "a sensor file (--import)"
+
 
 @dataclass(frozen=True)
 class Calibrate:
@@ -26,16 +29,20 @@ class Calibrate:
         "Type of gel; a cut gel has a window next to its dots. Default: that of the recording or the default grid, or"
         " closed if the dots leave no space for a window.",
         choices=("cut", "closed"),
+        needs=(FOUND, OF_SENSOR),
     )
     rows: int | None = parameter(
         None,
         "Rows of dots, together with --columns, if they differ from an Evetac's 7 x 9 (cut gel: 7 x 8).",
         low=2,
         high=128,
+        needs=(FOUND,),
     )
-    columns: int | None = parameter(None, "Columns of dots, together with --rows.", low=2, high=128)
+    columns: int | None = parameter(None, "Columns of dots, together with --rows.", low=2, high=128, needs=(FOUND,))
     irregular: bool = parameter(
-        False, "Accept all dots that are found, for dots that form no grid (staggered rows, random positions)."
+        False,
+        "Accept all dots that are found, for dots that form no grid (staggered rows, random positions).",
+        needs=(FOUND,),
     )
 
 

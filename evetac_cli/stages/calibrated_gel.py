@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evetac_cli.commands.calibrate import Calibrate
+from evetac_cli.commands.calibrate import FOUND, OF_SENSOR, Calibrate
+from evetac_cli.commands.parameter import refuse_unused
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.calibration import gel_layout, grid
 from evetac_cli.kernels.calibration.gel_layout import CLOSED_COLUMNS, CUT_COLUMNS, ROWS, Grid, Window
@@ -48,18 +49,9 @@ def check_options(params: Calibrate) -> None:
         raise InputError("dots without a grid have no rows and columns", where="--irregular", found=size)
     if params.rows is not None and params.columns is not None and params.rows * params.columns > grid.MOST_DOTS:
         raise _too_many(size, params.rows * params.columns)
-    flags = {"--gel": params.gel is not None, size: params.rows is not None, "--irregular": params.irregular}
-    unused = [flag for flag in flags if flags[flag]]
     of_sensor = params.source is not None and params.source.suffix == sensor_file.SUFFIX
-    if of_sensor:
-        unused = [flag for flag in unused if flag != "--gel"]
-    if unused and (of_sensor or params.refine is not None):
-        raise InputError(
-            "has no effect: the file with the grid determines it",
-            where=", ".join(unused),
-            found=f"--import {params.source}" if of_sensor else "--refine",
-            hint=f"leave out {', '.join(unused)}",
-        )
+    has = [OF_SENSOR] if of_sensor else [FOUND] if params.refine is None else []
+    refuse_unused(params, has, f"--import {params.source}" if of_sensor else "--refine")
 
 
 def arranged(seen: FoundDots, params: Calibrate) -> tuple[Grid, Window | None]:
