@@ -52,13 +52,6 @@ class ClusterCommand:
     parts: tuple[plugins.Plugin, ...] = ()  # plug-ins that the command uses
 
 
-@dataclass(frozen=True)
-class WorkerRefused:
-    """The reason why a worker refuses the jobs of a command."""
-
-    reason: str
-
-
 def check_worker(command: ClusterCommand) -> str:
     """Return the reason why this process cannot work for a command, as a text; empty if it can."""
     if command.version != __version__:
@@ -71,14 +64,14 @@ def check_worker(command: ClusterCommand) -> str:
     return "" if command.sign.exists() else f"does not see the files in {command.sign.parent}: no shared storage"
 
 
-def run_task(command: ClusterCommand, job: Job, seen: tuple[Path, ...]) -> Outcome | EvetacError | WorkerRefused | None:
-    """Run a job and return its result; None if the worker had to stop.
+def run_task(command: ClusterCommand, job: Job, seen: tuple[Path, ...]) -> Outcome | EvetacError | str | None:
+    """Run a job and return its result; the reason if this process cannot, None if the worker had to stop.
 
     seen: the inputs of the job that exist on the computer of the command.
     """
     with _one_job_at_a_time:
         if reason := check_worker(command):
-            return WorkerRefused(reason)
+            return reason
         plugins.take_part(command.parts)
         before = Path.cwd()
         os.chdir(command.folder)
@@ -289,13 +282,13 @@ class _Run:
             self.waiting.appendleft(job)
             self._look_at_workers()
 
-    def _result(self, future: Any, job: Job) -> Outcome | EvetacError | WorkerRefused | None:
+    def _result(self, future: Any, job: Job) -> Outcome | EvetacError | str | None:
         from concurrent.futures import CancelledError
 
         from distributed import KilledWorker
 
         try:
-            result: Outcome | EvetacError | WorkerRefused | None = future.result()
+            result: Outcome | EvetacError | str | None = future.result()
         except KilledWorker as error:
             return EvetacError(
                 f"{error.allowed_failures + 1} workers died during this job",
@@ -313,16 +306,15 @@ class _Run:
             ) from None
         except ModuleNotFoundError as error:
             lacks = (error.name or "").partition(".")[0]  # the worker could not read the task
-            if lacks == "evetac_cli":
-                return WorkerRefused("has no evetac")
-            for part in plugins.parts():
-                if part.module.partition(".")[0] == lacks:
-                    return WorkerRefused(f"has no {part.package}")
+            if lacks in ("evetac_cli", *(part.module.partition(".")[0] for part in plugins.parts())):
+                return f"has no {lacks}"
             raise
         except RuntimeError as error:
-            if not plugins.parts() or "deserialization of the task graph" not in str(error):
+            if "deserialization of the task graph" not in str(error):
                 raise
-            raise _unread_by_scheduler(error) from None
+            message, found = "the Dask scheduler cannot read the jobs", str(error.__cause__ or error)
+            hint = "install evetac and its plug-ins also on the scheduler's computer"
+            raise EvetacError(message, where="--engine", found=found, hint=hint) from None
         return result
 
     def _look_at_workers(self) -> None:
@@ -378,14 +370,3 @@ class _Run:
                 outputs = [job.output for job in self.running.values()] + list(self.results)
                 files = [self.command.folder / output for output in outputs]
                 self.client.run(workers.remove_unfinished, files, on_error="ignore")
-
-
-def _unread_by_scheduler(error: RuntimeError) -> EvetacError:
-    """Return the error that the scheduler, which reads every task, cannot load the package of a plug-in."""
-    packages = ", ".join(plugins.used())
-    return EvetacError(
-        f"the Dask scheduler cannot read the jobs, which need {packages}",
-        where="--engine",
-        found=str(error.__cause__ or "an error of Dask's"),
-        hint=f"install {packages} also on the scheduler's computer",
-    )
