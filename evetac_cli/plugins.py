@@ -7,7 +7,6 @@ plug-in that does not load is refused when it is requested, and affects nothing 
 
 import re
 import sys
-import traceback
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from functools import cache
@@ -205,27 +204,3 @@ def lacking(wanted: Iterable[Plugin]) -> str:
         except InputError as error:
             return f"cannot use the plug-in {part.what} of {part.package}: {error.found}"
     return ""
-
-
-def culprits(error: BaseException) -> tuple[Plugin, ...]:
-    """Return the plug-ins in whose code an error was raised, or through which it passed; none if it was evetac's code.
-
-    All of them belong to one package. If no entry point names the module of that code, they are all used plug-ins of
-    its package.
-    """
-    noted: tuple[Plugin, ...] = getattr(error, "evetac_plugins", ())
-    if noted:
-        return noted
-    modules = [str(frame.f_globals.get("__name__", "")) for frame, _ in traceback.walk_tb(error.__traceback__)]
-    for depth in (None, 1):  # the module itself, then its whole package
-        for module in reversed(modules):
-            found = tuple(part for part in parts() if part.module.split(".")[:depth] == module.split(".")[:depth])
-            if found and not module.startswith("evetac_cli."):
-                return found
-    return ()
-
-
-def note_culprits(error: BaseException) -> None:
-    """Store the responsible plug-ins in an error that is sent to another process, where it has no traceback."""
-    if found := culprits(error):
-        error.evetac_plugins = found  # type: ignore[attr-defined]

@@ -83,9 +83,6 @@ def run_task(command: ClusterCommand, job: Job, seen: tuple[Path, ...]) -> Outco
             return workers.run_one(command.module, job, command.chosen, command.force, _stopping(command.sign))
         except KeyboardInterrupt:
             return None
-        except Exception as error:
-            plugins.note_culprits(error)
-            raise
         finally:
             os.chdir(before)
 

@@ -195,8 +195,7 @@ class CommandExit:
             is_known = any(error is other for other in errors)
             more = attached_outcome(error) if not is_known else None
             outcomes = self.outcomes() + ([more] if more is not None else [])
-            shown = _failure_of_plugin(error) or error
-            console.show_failure(self.title, errors if is_known else [shown, *errors], outcomes)
+            console.show_failure(self.title, errors if is_known else [error, *errors], outcomes)
         if isinstance(error, KeyboardInterrupt):
             console.say(str(error) or INTERRUPTED)
             raise typer.Exit(INTERRUPTED_CODE) from None
@@ -252,29 +251,14 @@ def _exit_code(program: Callable[[], Any]) -> int:
     return 0
 
 
-def _failure_of_plugin(error: BaseException) -> EvetacError | None:
-    """Return an unexpected exception as an EvetacError if a plug-in's code raised it; None for any other error."""
-    if isinstance(error, (EvetacError, OSError, MemoryError, RecursionError, KeyboardInterrupt)):
-        return None
-    parts = plugins.culprits(error)
-    if not parts:
-        return None
-    package, several = parts[0].package, len(parts) > 1
-    message = f"the plug-in{'s' if several else ''} {', '.join(part.what for part in parts)} of {package} failed"
-    hint = f"report it to the authors of {package}, with the command and the traceback; evetac is not at fault"
-    found = f"{type(error).__name__}: {error}"
-    return EvetacError(message, where=f"{package} {parts[0].version}", found=found, hint=hint)
-
-
 def _say_internal_error(error: Exception, *, verbose: bool) -> None:
     """Report an unexpected exception, with its traceback in a file or, with `verbose`, on stderr."""
     trace = "".join(traceback.format_exception(error))
-    if failure := _failure_of_plugin(error):
-        console.say(f"error: {failure}")
-    else:
-        console.say(INTERNAL_ERROR)
-        console.say(f"  {type(error).__name__}: {shortened(str(error))}")
-        console.say(f"  this is a defect of evetac {__version__}: please report it with the command and the traceback")
+    used = " and ".join(f"{package} {version}" for package, version in plugins.used().items())
+    whose = f"evetac {__version__}" + (f", or of a plug-in of {used} if the traceback shows it" if used else "")
+    console.say(INTERNAL_ERROR)
+    console.say(f"  {type(error).__name__}: {shortened(str(error))}")
+    console.say(f"  this is a defect of {whose}: please report it with the command and the traceback")
     if verbose:
         console.say(trace.rstrip())
         return

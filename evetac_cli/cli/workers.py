@@ -206,7 +206,6 @@ def _work_off(pipe: "Connection", module: str, params: Any, force: bool) -> None
             pipe.send(_in_worker(module, job, params, force, _sending(pipe)))
         except Exception as error:  # a defect: shown by the parent, as it would be without workers
             error.add_note(traceback.format_exc())
-            plugins.note_culprits(error)
             pipe.send(error)
 
 

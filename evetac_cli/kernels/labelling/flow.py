@@ -54,7 +54,6 @@ class FlowConstants:
     after_ms: int
     method: str = "farneback"  # one of METHODS
     threshold_events: int = 200  # of event-count: more window events than this over the look-ahead are slip
-    shrink: int = 1  # factor by which images are shrunk before flow is computed
     clear_px: float = 0.6  # margin above the threshold for clear slip on smaller images; infinity: do not compute them
     plain: bool = False  # compute the flow of both regions even if it cannot change the result
 
@@ -217,20 +216,20 @@ class _Search:
         drawn_gel = None
         if math.isfinite(constants.clear_px) and not constants.plain:
             least = constants.threshold_px + constants.clear_px
-            rough = region_flow(now, then, constants.method, CLEAR_WINDOW * constants.shrink)
+            rough = region_flow(now, then, constants.method, CLEAR_WINDOW)
             if np.hypot(*rough) > least:
                 drawn_gel = event_picture(now_events, self._gel), event_picture(later_events, self._gel)
-                rough -= region_flow(*drawn_gel, constants.method, CLEAR_GEL * constants.shrink)
+                rough -= region_flow(*drawn_gel, constants.method, CLEAR_GEL)
                 relative = float(np.hypot(*rough))
                 if relative > least:
                     self.relative_px[index] = relative
                     return True
-        window_flow = region_flow(now, then, constants.method, constants.shrink)
+        window_flow = region_flow(now, then, constants.method)
         still = bool(np.hypot(*window_flow) <= constants.threshold_px)
         if still and not constants.plain:
             return False
         drawn_gel = drawn_gel or (event_picture(now_events, self._gel), event_picture(later_events, self._gel))
-        gel_flow = region_flow(*drawn_gel, constants.method, constants.shrink)
+        gel_flow = region_flow(*drawn_gel, constants.method)
         relative = float(np.hypot(*(window_flow - gel_flow)))
         self.relative_px[index] = relative
         return relative > constants.threshold_px and not (few or still)

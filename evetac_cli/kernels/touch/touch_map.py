@@ -135,22 +135,18 @@ class TouchState:
         self.renewed_at = 0
         self.touches = False
         self.next_part = 0  # of a renewal, see `renew_part`
-        self.dots = self._in_use(self.there)
+        self.dots = self.in_use(self.there)
         self.found_pa: Floats | None = None
         self.now: Fitted | None = None
         self.held_fit: Fitted | None = None
 
-    def _in_use(self, used: Flags) -> DotsInUse:
+    def in_use(self, used: Flags) -> DotsInUse:
         """Return the constants for a subset of the dots."""
         modes = modes_of(self.motion[used])
         below_mm = self.layer.height_mm - self.layer.print_depth_mm
         return DotsInUse(
             used.copy(), modes, patch.finder(modes, self.cells.shape, below_mm / self.layer.shear_modulus_pa)
         )
-
-    def use(self, used: Flags) -> None:
-        """Use these dots for patches and fits from now on."""
-        self.dots = self._in_use(used)
 
 
 def start(
@@ -243,7 +239,7 @@ def _renew_dots(state: TouchState) -> int:
         used = used & ~wrong_dots.wrong(state.compared, state.moved_mm, used, state.now.fit.patch)
     if (used == state.dots.used).all():
         return _renew_patch(state)
-    state.use(used)
+    state.dots = state.in_use(used)
     return _PARTS.index(_renew_patch)
 
 

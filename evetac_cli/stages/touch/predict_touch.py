@@ -15,7 +15,7 @@ from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.names import TouchOption
 from evetac_cli.stages import per_file, row_blocks
 from evetac_cli.stages.touch import known_gel
-from evetac_cli.stages.touch.known_gel import GelShape, GelWeights, KnownGel
+from evetac_cli.stages.touch.known_gel import GelShape, KnownGel
 from evetac_cli.store.files import StageFile, up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.read import UNKNOWN_SENSOR
@@ -57,8 +57,25 @@ def run(job: Job, params: PredictTouch, *, force: bool = False, progress: Progre
         recipe = _recipe(params, gel_values, tracks.header, None if own is None else own[0])
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=recipe.simulated)
-        summary = _Summary()
-        made = _write(job.output, recipe, gel, tracks, params, summary, progress, force=force)
+        from evetac_cli.stages.touch import touch_fold  # brings scipy
+
+        slices, summary = tracks.length("dot_xy_px"), _Summary()
+        fold = touch_fold.TouchFold(gel, tracks, params.map_every, compares=params.leave_out_wrong)
+        cells = fold.state.cells
+        arrays = {"map/x_mm": cells.x_mm, "map/y_mm": cells.y_mm} if params.map_every else {}
+        lengths = dict.fromkeys(touch_fold.COLUMNS, slices)
+        if params.map_every:
+            maps = ("slice", *touch_fold.OF_MAP)
+            lengths |= dict.fromkeys((f"map/{name}" for name in maps), -(-slices // params.map_every))
+
+        def blocks() -> Iterator[dict[str, Any]]:
+            for first, stop in row_blocks(slices):
+                columns = fold.block(first, stop)
+                summary.add(columns)
+                yield columns
+                progress(stop, slices)
+
+        made = write_stage(job.output, recipe, arrays, blocks(), lengths, force=force) is not None
     modulus = "adapted" if own is not None else "unknown" if gel_values.shear_modulus_pa is None else "known"
     return outcome(job, made=made, simulated=recipe.simulated, shear_modulus=modulus, **summary.row())
 
@@ -116,38 +133,6 @@ class _Summary:
             most |= {f"max_{name}": value, f"max_{name}_sd": sd}
         times = {"touched_s": self.touched / SLICES_PER_S, "unknown_s": self.unknown / SLICES_PER_S}
         return {"slices": self.slices, "maps": self.maps, **times, **most}
-
-
-def _write(
-    output: Path,
-    recipe: Recipe,
-    gel: GelWeights,
-    tracks: StageFile,
-    params: PredictTouch,
-    summary: _Summary,
-    progress: Progress,
-    *,
-    force: bool,
-) -> bool:
-    from evetac_cli.stages.touch import touch_fold  # brings scipy
-
-    slices = tracks.length("dot_xy_px")
-    fold = touch_fold.TouchFold(gel, tracks, params.map_every, compares=params.leave_out_wrong)
-    cells = fold.state.cells
-    arrays = {"map/x_mm": cells.x_mm, "map/y_mm": cells.y_mm} if params.map_every else {}
-    lengths = dict.fromkeys(touch_fold.COLUMNS, slices)
-    if params.map_every:
-        maps = ("slice", *touch_fold.OF_MAP)
-        lengths |= dict.fromkeys((f"map/{name}" for name in maps), -(-slices // params.map_every))
-
-    def blocks() -> Iterator[dict[str, Any]]:
-        for first, stop in row_blocks(slices):
-            columns = fold.block(first, stop)
-            summary.add(columns)
-            yield columns
-            progress(stop, slices)
-
-    return write_stage(output, recipe, arrays, blocks(), lengths, force=force) is not None
 
 
 STAGE = Stage(jobs, run)

@@ -263,13 +263,8 @@ def sticking_of(state: TouchState) -> StickingState | None:
 
 def _slices(tracks: StageFile, mm_per_px: float, first: int, stop: int) -> Iterator[tuple[Floats, Flags]]:
     """Iterate over slices of a tracks file: the dots (n, 2) in mm, and which of them are lost (n,)."""
-    dot_mm = (tracks.read("dot_xy_px", first, stop) - _middle_px(tracks)) * mm_per_px
+    dot_mm = (tracks.read("dot_xy_px", first, stop) - tracks.read("sensor/frame_px") / 2) * mm_per_px
     return zip(dot_mm, tracks.read("lost", first, stop) != 0, strict=True)
-
-
-def _middle_px(tracks: StageFile) -> Floats:
-    middle: Floats = tracks.read("sensor/frame_px") / 2
-    return middle
 
 
 def slices_of(gel: GelWeights, tracks: StageFile) -> Slices:
