@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evetac_cli.commands import PIPELINE
+from evetac_cli.commands import pipeline
 from evetac_cli.errors import EXTRAS, MADE_BY, check_range, check_whole, install_hint, made_by
 from evetac_cli.resources import PACKAGE
 from evetac_cli.store.layout.schema import KINDS
@@ -22,7 +22,7 @@ OFFERED = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optio
 def test_every_kind_of_file_is_made_by_a_command() -> None:
     """Assert that there is a command for each kind, of this name."""
     assert set(MADE_BY) == set(KINDS)
-    assert set(MADE_BY.values()) <= {command.name for command in PIPELINE} | {"evaluate"}
+    assert set(MADE_BY.values()) <= {command.name for command in pipeline()} | {"evaluate"}
     assert made_by("tracks") == "evetac track makes tracks files"
 
 
