@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from evetac_cli.cli.config import MOST, resolve, with_config
 from evetac_cli.cli.main import app
-from evetac_cli.commands import EVERY, PIPELINE, Command
+from evetac_cli.commands import Command, every, pipeline
 from evetac_cli.commands.parameter import flag_of
 from evetac_cli.errors import InputError, SceneError
 from evetac_cli.evaluate import SUBJECTS
@@ -24,7 +24,7 @@ from evetac_cli.text_files import as_toml, parse_json, read_toml
 from tests import small_files
 from tests.quick import few
 
-ALL = (*EVERY.values(), *SUBJECTS)
+ALL = (*every().values(), *SUBJECTS)
 NUMBERS = [
     pytest.param(command, item.name, id=f"{command.name} {flag_of(item)}")
     for command in ALL
@@ -57,7 +57,7 @@ def test_a_flag_is_a_plain_number_or_refused(command: Command, name: str) -> Non
 
 
 @pytest.mark.parametrize("text", ["-0.0", "nan", "1e400", "true", "9223372036854775808"])
-@pytest.mark.parametrize("command", [one for one in PIPELINE if one.name in with_config()], ids=lambda one: one.name)
+@pytest.mark.parametrize("command", [one for one in pipeline() if one.name in with_config()], ids=lambda one: one.name)
 def test_a_config_file_has_plain_numbers(command: Command, text: str, tmp_path: Path) -> None:
     """Assert the same of each number that a config file sets; a truth value is no number."""
     hints = typing.get_type_hints(command.params)

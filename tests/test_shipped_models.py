@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 import evetac_cli as evetac
 from evetac_cli.cli.main import app
-from evetac_cli.commands import EVERY
+from evetac_cli.commands import every
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError
@@ -27,7 +27,7 @@ from evetac_cli.stages import train
 from evetac_cli.trials.grasp.settings import GraspSettings
 from tests.conftest import Made
 
-COMMANDS = EVERY | {f"evaluate {command.name}": command for command in SUBJECTS}
+COMMANDS = every() | {f"evaluate {command.name}": command for command in SUBJECTS}
 # Parameters that name a slip detector's file; `train --model` names an architecture, and of forces there is no model.
 TAKES_A_MODEL = [
     (name, item)
