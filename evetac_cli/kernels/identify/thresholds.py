@@ -16,8 +16,9 @@ differs from stroke to stroke, the threshold does not: the covariance of two hal
 thresholds alone.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -28,6 +29,7 @@ from evetac_cli.arrays import Floats, Ints
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.estimates import Estimate, of_samples
 
+T = TypeVar("T")
 SCAN_US = 200.0  # scan period of a DVXplorer
 LONGEST_US = 20_000  # longest time between two events from the same passing rim
 LONG_AGO_US = -(10**12)  # time of the last event of a pixel without events
@@ -213,9 +215,7 @@ def of_either_polarity(on: Floats, off: Floats, noise: float, rng: np.random.Gen
         least = np.average(variance - chance, weights=weight)
         return float(ratio), float(least), float(np.average(chance, weights=weight))
 
-    value = of(np.ones(tiles))
-    draws = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), RESAMPLES).astype(np.float64)
-    samples = np.array([of(weights) for weights in draws])
+    value, samples = _resampled(of, tiles, rng)
     ratios = np.exp(samples[:, 0] + RATIO_SD * rng.standard_normal(RESAMPLES))
     unsure = np.hypot(ALIKE_VARIANCE_SD, CHANCE_SD * value[2])
     alike = ALIKE_VARIANCE + unsure * rng.standard_normal(RESAMPLES)
@@ -257,12 +257,17 @@ def of_both_polarities(
         result: Floats = np.sqrt(np.maximum(own_variance - of_alike, 0.0)) / sensitivity
         return result
 
-    value = spread(np.array([variance(np.ones(tiles))]), np.array([alike]), np.array([SENSITIVITY]))[0]
-    draws = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), RESAMPLES).astype(np.float64)
-    own_variance = np.array([variance(weights) for weights in draws])
+    whole, own_variance = _resampled(variance, tiles, rng)
+    value = spread(np.array([whole]), np.array([alike]), np.array([SENSITIVITY]))[0]
     of_alike = alike * np.maximum(1.0 + ALIKE_SQUARED_SD * rng.standard_normal(RESAMPLES), 0.0)
     sensitivity = SENSITIVITY + SENSITIVITY_SD * rng.standard_normal(RESAMPLES)
     return of_samples(float(value), spread(own_variance, of_alike, sensitivity))
+
+
+def _resampled(estimate: Callable[[Floats], T], tiles: int, rng: np.random.Generator) -> tuple[T, Floats]:
+    """Return the estimate from all pieces of the picture, by their weights, and those of the bootstrap over pieces."""
+    draws = rng.multinomial(tiles, np.full(tiles, 1.0 / tiles), RESAMPLES).astype(np.float64)
+    return estimate(np.ones(tiles)), np.array([estimate(weights) for weights in draws])
 
 
 def _tiles(pixels: NDArray[np.bool_]) -> NDArray[np.intp]:

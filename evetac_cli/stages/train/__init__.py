@@ -299,7 +299,6 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
     shape = _shape_of_all(job.inputs, inputs, architecture, adapted)
     start = None if adapted is None else adapted.weights
     networks = Networks(output, job.inputs, [each.memory_bytes for each in inputs], folds, recipe, shape, start)
-    networks.require_same_forms(None, job.inputs[0])  # before hours of training, and again on the result
     try:
         if isinstance(job, NetworkJob):
             networks.train(job.number, progress)

@@ -136,7 +136,7 @@ class Networks:
         predictions: list[list[Prediction]] = [[] for _ in detectors]
         for done, index in enumerate(left_out):
             progress(done, len(left_out), "files evaluated")
-            self.require_same_forms(weights[-1], self.inputs[index])
+            self._require_same_forms(weights[-1], self.inputs[index])
             trajectory = read_trajectory(self.inputs[index], self.architecture)
             judged = predict(detectors, trajectory, headers[index], horizon_ms)
             for of_detector, prediction in zip(predictions, judged, strict=True):
@@ -144,17 +144,15 @@ class Networks:
         resumed_at = next((step for _, step in trained if step is not None), None)
         return TrainedFolds(networks, steps, weights, predictions, resumed_at)
 
-    def require_same_forms(self, weights: Weights | None, path: Path) -> None:
+    def _require_same_forms(self, weights: Weights, path: Path) -> None:
         """Raise InputError if a plug-in's network computes another probability in torch than as an ONNX graph.
 
-        weights: of all networks of the detector; None for new ones. path: a file whose inputs are used to compare.
+        weights: of all networks of the detector. path: a file whose inputs are used to compare.
         """
         architecture = self.architecture
         plugin = plugins.by_name(plugins.NETWORKS, architecture.name)
         if plugin is None:
             return
-        import torch
-
         from evetac_cli.kernels.slip import inputs, networks
 
         series = read_trajectory(path, architecture).series
@@ -163,9 +161,7 @@ class Networks:
             return
         ends = np.unique(np.linspace(architecture.history - 1, slices - 1, COMPARED).astype(np.int64))
         batch = inputs.at(architecture, series, ends)
-        with torch.random.fork_rng(devices=[]):  # new weights are drawn, and a training may draw later
-            drawn = networks.weights(networks.build(architecture, *self.shape)) if weights is None else weights
-        for each in parted(drawn):
+        for each in parted(weights):
             difference = networks.difference_of_forms(architecture, each, *self.shape, batch)
             if not difference <= FORMS_AGREE:
                 found = f"for inputs from {path}, torch and ONNX return probabilities up to {difference:.3g} apart"
