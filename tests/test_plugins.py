@@ -499,10 +499,8 @@ def test_what_a_plug_in_prints_is_not_json(add: Add, tmp_path: Path, capfd: pyte
     assert written.err.count("hello from") == 3
 
 
-def test_a_network_whose_forms_differ(
-    add: Add, made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Assert that `train` refuses a network that takes the maximum in torch and the mean in ONNX, and writes nothing."""
+def test_a_network_whose_forms_differ(add: Add, made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Assert that `train` refuses a network with a maximum in torch and a mean in ONNX, and writes nothing."""
     spec = importlib.util.spec_from_file_location("toy_network", TOY / "evetac_toy" / "network.py")
     assert spec is not None and spec.loader is not None
     spec.loader.exec_module(module := importlib.util.module_from_spec(spec))
