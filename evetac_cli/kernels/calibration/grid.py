@@ -295,7 +295,7 @@ def _without_weak_borders(place_of: NDArray[np.int64], least: tuple[int, int]) -
 
 
 def pitch(dot_xy_px: NDArray[np.float64]) -> float:
-    """Return the median distance from a dot to its nearest neighbour, in px; infinite for a single dot."""
+    """Return the median distance from a dot to its nearest neighbour; infinite for a single dot."""
     dots = dot_xy_px.reshape(-1, 2)
     dots = dots[np.isfinite(dots).all(axis=1)]
     distance = np.linalg.norm(dots[:, None] - dots[None], axis=2)

@@ -173,19 +173,11 @@ def _row(
     change = (np.count_nonzero(p[1:] != p[:-1]) + 0.5) / count
     change = min(change, 2 * min(on, 1 - on))
     mean_us = 1e6 / rate.value
-    law = two_exponentials(between_us, dead_us, step_us)
+    short_share, short_us = two_exponentials(between_us, dead_us, step_us)
     room_us = LONGEST_SHARE * mean_us - dead_us
-    short_us = law.short_us
-    if law.short_share > 0.0 and law.short_share * short_us > room_us:
-        short_us = max(0.0, room_us / law.short_share)
-    return rate.value, low, high, float(on), float(change), law.short_share, short_us
-
-
-class TwoExponentials(NamedTuple):
-    """Share of the intervals that come from the shorter exponential, and its mean beyond the dead time, in us."""
-
-    short_share: float
-    short_us: float
+    if short_share > 0.0 and short_share * short_us > room_us:
+        short_us = max(0.0, room_us / short_share)
+    return rate.value, low, high, float(on), float(change), short_share, short_us
 
 
 def time_step(interval_us: Floats) -> Estimate | None:
@@ -242,15 +234,16 @@ def dead_time(interval_us: Floats, step_us: float, rng: np.random.Generator) -> 
     return of_samples(float(value), extrapolated(shares[:, 0], shares[:, 1]))
 
 
-def two_exponentials(interval_us: Floats, dead_us: float, step_us: float) -> TwoExponentials:
-    """Return the model of a pixel's intervals beyond the dead time: two exponentials if they fit better than one.
+def two_exponentials(interval_us: Floats, dead_us: float, step_us: float) -> tuple[float, float]:
+    """Return the share of intervals from the shorter of two exponentials, and its mean beyond the dead time, in us.
 
-    Maximum likelihood over a table of means. Intervals are whole steps of `step_us`; 0 means steps of 1 us.
+    Both are 0 if two exponentials do not fit the intervals of a pixel better than one. Maximum likelihood over a
+    table of means. Intervals are whole steps of `step_us`; 0 means steps of 1 us.
     """
     unit_us = max(step_us, 1.0)
     steps = np.maximum(np.round((interval_us - dead_us) / unit_us), 0.0)
     if len(steps) < FEWEST_FOR_TWO:
-        return TwoExponentials(0.0, 0.0)
+        return 0.0, 0.0
     binned = np.where(
         steps < EXACT_BELOW,
         steps,
@@ -269,8 +262,8 @@ def two_exponentials(interval_us: Floats, dead_us: float, step_us: float) -> Two
     both = np.log(weight[:, None] * shorter + (1 - weight[:, None]) * longer) @ count
     best = int(np.argmax(both))
     if both[best] - one < WORTH_IT:
-        return TwoExponentials(0.0, 0.0)
-    return TwoExponentials(float(min(weight[best], 0.99)), float(means[short[best]] * unit_us))
+        return 0.0, 0.0
+    return float(min(weight[best], 0.99)), float(means[short[best]] * unit_us)
 
 
 def _share_of_steps(steps: Floats, mean: Floats) -> Floats:

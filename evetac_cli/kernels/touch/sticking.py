@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.arrays import Flags, Floats, Singles
+from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.touch import rest
 from evetac_cli.kernels.touch.dot_motion import DotNoise
@@ -39,7 +40,7 @@ def lattice_weights(rest_mm: Floats) -> Floats:
     """Return weights (positions, dots) that give the displacement at each lattice position from dots at (dots, 2)."""
     apart = rest_mm[None] - LATTICE_MM[:, None]
     distance = np.linalg.norm(apart, axis=2)
-    width = max(WIDTH_MM, WIDTH_PITCHES * _pitch_mm(rest_mm))
+    width = max(WIDTH_MM, WIDTH_PITCHES * grid.pitch(rest_mm))
     nearer = np.exp(-0.5 * (distance / width) ** 2)
     terms = np.concatenate([np.ones_like(apart[..., :1]), apart], axis=2)
     squares = np.einsum("ld,ldi,ldj->lij", nearer, terms, terms)
@@ -47,13 +48,6 @@ def lattice_weights(rest_mm: Floats) -> Floats:
     weights: Floats = np.einsum("lj,ldj,ld->ld", inverse[:, 0], terms, nearer)
     weights[distance.min(axis=1) > REACH_WIDTHS * width] = 0.0
     return weights
-
-
-def _pitch_mm(rest_mm: Floats) -> float:
-    """Return the median distance of a dot from its nearest neighbour."""
-    apart = np.linalg.norm(rest_mm[:, None] - rest_mm[None], axis=2)
-    np.fill_diagonal(apart, np.inf)
-    return float(np.median(apart.min(axis=1)))
 
 
 LOOKS_BACK = (4, 20)  # changes over 20 and 100 ms, in blocks of 5 ms
