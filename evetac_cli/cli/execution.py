@@ -8,7 +8,6 @@ import re
 import shlex
 import time
 from collections import Counter
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -226,10 +225,6 @@ def largest_first(jobs: list[Job]) -> list[Job]:
     """Return the jobs sorted by the bytes of their inputs, largest first, so that short jobs end last; stable."""
 
     def size(job: Job) -> int:
-        total = 0
-        for path in job.inputs:
-            with suppress(OSError):
-                total += path.stat().st_size
-        return total
+        return sum(path.stat().st_size for path in job.inputs if path.is_file())
 
     return sorted(jobs, key=size, reverse=True)

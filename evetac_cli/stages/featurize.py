@@ -44,8 +44,8 @@ def jobs(files: list[Path], params: Featurize, out: Path | None) -> list[Job]:
         raise InputError("one file cannot belong to several recordings", where="--tracks, --labels", found=found)
     new_jobs = []
     for file in files:
-        tracks = _input_path(file, "tracks", params.tracks)
-        labels = _input_path(file, "labels", params.labels)
+        tracks = output_path(file, "tracks", params.tracks)
+        labels = output_path(file, "labels", params.labels)
         inputs = (file, tracks, labels) if params.labels or labels.exists() else (file, tracks)
         new_jobs.append(Job(inputs, output_path(file, OUTPUT, out)))
     return new_jobs
@@ -200,11 +200,6 @@ def _blocks(
             }
             pixels += len(block["image/pixel"])
         yield block
-
-
-def _input_path(recording: Path, kind: str, path: Path | None) -> Path:
-    """Return the file of a kind for a recording: next to it, in the given folder, or the given file."""
-    return path if path is not None and not path.is_dir() else output_path(recording, kind, path)
 
 
 STAGE = Stage(jobs, run)

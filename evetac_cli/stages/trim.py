@@ -35,8 +35,6 @@ OUTPUT = "recording"
 METHOD = 1
 DV_SUPPORT_MS = 2.0  # default of dv-processing's filter
 DENOISED_SLICES = 200  # processed at a time
-PIECE_ROWS = 1 << 18  # events in memory at a time
-MANY_VALUES = 1 << 12  # values per row above which fewer rows are in memory at a time, as for images
 # Dimensions whose rows have separate times, and the datasets of these times; for `samples`, within the stream.
 CLOCKS = {"commands": "gripper/t_us", "control_steps": "control/t_us", "marks": "marks/t_us", "samples": "t_us"}
 
@@ -162,20 +160,14 @@ class _CutDatasets:
             }
         done, total = 0, sum(stop - start for start, stop, _ in self._ranges.values())
         for name, (start, stop, clock) in self._ranges.items():
-            for first, last in row_blocks(stop - start, self._at_once(name)):
+            row_values = int(np.prod(self._recording.contents()[name][1][1:]))
+            for first, last in row_blocks(stop - start, max(1, BLOCK_VALUES // row_values)):
                 rows = self._recording.read(name, start + first, start + last)
                 if clock:
                     rows = rows[self._rows(clock, first, last)]
                 yield {name: rows - shift_us if name in ("events/t", clock) else rows}
                 done += last - first
                 progress(done * slices // max(total, 1), slices)
-
-    def _at_once(self, name: str) -> int | None:
-        """Return how many rows of a dataset are read at a time; None for the usual number."""
-        if name.startswith("events/"):
-            return PIECE_ROWS
-        row_values = int(np.prod(self._recording.contents()[name][1][1:]))
-        return max(1, BLOCK_VALUES // row_values) if row_values > MANY_VALUES else None
 
     def _within(self, clock: str) -> int:
         """Return the number of rows with a time within the slices."""

@@ -76,7 +76,7 @@ BLOCKS = (
     (read, "BLOCK_SLICES", 100),
     (event_flow, "BLOCK_SLICES", 100),
     (event_files, "PIECE_EVENTS", 1 << 13),
-    (trim, "PIECE_ROWS", 1 << 13),
+    (trim, "BLOCK_VALUES", 1 << 13),
     (read_hdf5, "BATCH_ROWS", 1 << 13),
     (rules, "BLOCK_VALUES", 1 << 13),
     (validate, "EVENTS", 1 << 13),
