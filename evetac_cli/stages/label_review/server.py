@@ -116,8 +116,8 @@ def _whole(text: str) -> int:
     return int(text)
 
 
-def onset_now(recording: Recording, labels: Path) -> tuple[LabelledOnset, dict[str, Any]]:
-    """Return the current onset and its origin: from the labels file, or by `event-flow` without one."""
+def onset_now(recording: Recording, labels: Path, computed: Labels | None) -> tuple[LabelledOnset, dict[str, Any]]:
+    """Return the current onset and its origin: from the labels file, or without one from those of `event-flow`."""
     if labels.exists():
         with StageFile(labels, "labels") as file:
             check_made_from(file, recording)
@@ -128,7 +128,6 @@ def onset_now(recording: Recording, labels: Path) -> tuple[LabelledOnset, dict[s
                 "at": file.header["made"].get("at"),
             }
             return labelled_onset(file), {**about, "kept": True}
-    computed = by_flow(recording)
     if computed is None:
         return LabelledOnset(None, None, None, None, ""), {"method": None, "kept": False}
     onset = onset_of_values(computed.onset, computed.earliest, computed.latest, computed.confidence, computed.doubt)
@@ -146,12 +145,12 @@ def by_flow(recording: Recording) -> Labels | None:
 def trial_data(recording: Recording, labels: Path, at: int | None) -> dict[str, Any]:
     """Return everything that the page draws around slice `at`, or around the onset, as plain texts and numbers."""
     slices, start = len(recording), ramp_start(recording)
-    onset, about = onset_now(recording, labels)
+    flow = by_flow(recording)
+    onset, about = onset_now(recording, labels, flow)
     middle = at if at is not None else onset.slice_ if onset.slice_ is not None else (start + slices) // 2
     first, stop = _span(recording.starts, min(max(middle, 0), max(slices - 1, 0)))
     events = recording.between(first, stop)
     window = recording.window_px
-    flow = by_flow(recording)
     counts = _window_counts(recording, first, stop)
     data: dict[str, Any] = {
         "name": recording.path.name,
