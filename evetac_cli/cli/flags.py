@@ -19,7 +19,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from evetac_cli import console
-from evetac_cli.commands.parameter import EXPERTS, PAGE, RUNNING, STAGE, Command, flag_of
+from evetac_cli.commands.parameter import EXPERTS, RUNNING, STAGE, Command, flag_of
 from evetac_cli.errors import InputError
 
 LOCAL = "local"  # jobs run on this computer (workers.py), and not on a Dask cluster (dask_engine.py)
@@ -58,9 +58,8 @@ def running(command: Command) -> dict[str, tuple[Any, Any, str, str]]:
     """
     if command.does == STAGE:
         return OF_STAGES
-    names = ("out", "force") if command.does == PAGE else ("out",) if command.out else ()
-    chosen = {name: OF_STAGES[name] for name in (*names, "as_json", "legend", "quiet", "verbose")}
-    own = {"out": command.out, "force": command.force}
+    own = {name: about for name, about in (("out", command.out), ("force", command.force)) if about}
+    chosen = {name: OF_STAGES[name] for name in (*own, "as_json", "legend", "quiet", "verbose")}
     return {name: (*entry[:3], own.get(name, entry[3])) for name, entry in chosen.items()}
 
 

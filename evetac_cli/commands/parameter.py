@@ -21,7 +21,7 @@ class Command:
     """A command: its parameters, its module, its input files, and the unit of its progress bar.
 
     does: STAGE writes stage files, PAGE files for people and other programs, LOOK prints a result. out, force: help of
-    -o and -f where that of stages does not fit; a LOOK has -o if `out` is given.
+    -o and -f; only a STAGE has these flags without it.
     """
 
     name: str

@@ -41,5 +41,4 @@ COMMAND = Command(
     ),
     does=PAGE,
     out="Output folder; default: NAME-hub next to the input.",
-    force="Replace an existing folder made by share.",
 )

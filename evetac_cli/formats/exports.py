@@ -207,19 +207,17 @@ def export_folder(
     folder: Path,
     options: Mapping[str, Any],
     *,
-    force: bool = False,
     progress: Progress = silent,
     opened: Opener = recording_alone,
 ) -> dict[str, Any]:
     """Write many recordings as one data set in a folder, completely or not at all; return what was written and omitted.
 
-    options: of the format. Raises InputError if the folder exists. With `force`, a folder that evetac wrote and that is
-    unchanged is replaced.
+    options: of the format. Raises InputError if the folder has anything in it.
     """
     require_possible_name(folder)
     row = named_format(format_)
     assert row.write_folder is not None
-    with new_folder(folder, force=force) as temporary:
+    with new_folder(folder) as temporary:
         with utf8_path(temporary) as plain:
             written = row.write_folder(sources, opened, plain, progress, **options)
         sizes = [path.stat().st_size for path in temporary.rglob("*") if path.is_file()]

@@ -41,7 +41,7 @@ def run(
                 expected="a folder",
                 found="none",
             )
-        row = export_folder(files, params.format, out, options, force=force, progress=progress, opened=opened)
+        row = export_folder(files, params.format, out, options, progress=progress, opened=opened)
         return Outcome([row], bool(row.pop("simulated")), {"files": len(files)})
     targets = [target_path(file, params.format, out) for file in files]
     twice = sorted({str(target) for target in targets if targets.count(target) > 1})

@@ -73,7 +73,7 @@ def show(result: Outcome, **_: Any) -> None:
 
 def _faults(file: StageFile) -> list[str]:
     """Return all faults of a file that could be opened, and so has the right datasets, dtypes and shapes."""
-    if fault := history_fault(file.stored_header):
+    if fault := history_fault(file.header):
         return [fault]
     faults = list(contents.faults(file))
     if faults:

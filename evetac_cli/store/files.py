@@ -68,11 +68,9 @@ class StageFile:
             self._refuse_if(lines)
             contents.check_shapes(self.kind, self.path, self._shapes)
             with damage_in_words(self.path, "its history"):
-                if ancestry.TRAJECTORIES in self._shapes:
+                if self.kind in ancestry.TRAINED:
                     tables = self.read(ancestry.TRAJECTORIES), self.read(ancestry.ANCESTORS)
                     self.header = ancestry.with_tables(self.header, *tables)
-                self.stored_header = self.header  # of an older file, with all ancestors
-                self.header = ancestry.without_training_files(self.header)
         except BaseException:
             self._file.close()
             raise

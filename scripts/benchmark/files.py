@@ -17,7 +17,7 @@ from evetac_cli.jobs import Row, silent
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.hdf5.disk import taking_the_place_of
 from evetac_cli.store.layout.provenance import Recipe, content_digest
-from evetac_cli.store.made_folders import new_folder, require_replaceable
+from evetac_cli.store.made_folders import new_folder, require_free
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
 from evetac_cli.trials import grasp, record
 from evetac_cli.trials.grasp.settings import SimulatedGrasp
@@ -34,7 +34,7 @@ TRUTH = ("slip", "visible_slip_share", "normal_force_n")  # in each ms
 READER = RECIPE.with_name("reader.py")
 
 
-def make(size: str, out: Path, jobs: int, *, force: bool) -> None:
+def make(size: str, out: Path, jobs: int) -> None:
     """Simulate all trials of a size and write the folder, which appears when it is complete.
 
     Finished recordings are kept in NAME.parts beside it until then, so that an interrupted run goes on where it ended.
@@ -42,14 +42,14 @@ def make(size: str, out: Path, jobs: int, *, force: bool) -> None:
     recipe = benchmark_trials.recipe()
     chosen = benchmark_trials.slots(recipe, size)
     recorded = [slot for slot in chosen if slot.kind != "grip"]
-    require_replaceable(out, force=force)
+    require_free(out)
     parts = out.with_name(f"{out.name}.parts")
     _prepare_parts(parts)
     rows = []
     for row in _each([(recipe, slot, parts) for slot in recorded], jobs):
         rows.append(row)
         sys.stderr.write(f"{len(rows)} of {len(recorded)}: {row['recording']}\n")
-    with new_folder(out, force=force) as folder:
+    with new_folder(out) as folder:
         prepare(folder)
         for row in rows:
             for name in (f"inputs/{row['recording']}.recording.h5", f"truth/{row['recording']}.h5"):

@@ -49,13 +49,12 @@ def main(arguments: list[str] | None = None) -> None:
     make.add_argument("--size", choices=("small", "full"), default="small")
     make.add_argument("--out", type=Path, required=True, help="folder of the benchmark")
     make.add_argument("--jobs", type=int, default=2, help="trials simulated at the same time")
-    make.add_argument("--force", action="store_true", help="replace the folder")
     digests = what.add_parser("digests", help="compare the contents of a folder with the digests in the repository")
     digests.add_argument("folder", type=Path)
     digests.add_argument("--write", action="store_true", help="write them instead")
     chosen = parser.parse_args(arguments)
     if chosen.what == "make":
-        files.make(chosen.size, chosen.out, chosen.jobs, force=chosen.force)
+        files.make(chosen.size, chosen.out, chosen.jobs)
     else:
         compare(chosen.folder, write=chosen.write)
 

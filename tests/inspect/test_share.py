@@ -38,8 +38,8 @@ def fields(folder: Path) -> dict[str, Any]:
     return {name: json.loads(value) for name, _, value in pairs}
 
 
-def shared(*files: Path, out: Path, force: bool = False, **chosen: Any) -> dict[str, Any]:
-    (row,) = share.run(list(files), Share(**chosen), out, force=force).rows
+def shared(*files: Path, out: Path, **chosen: Any) -> dict[str, Any]:
+    (row,) = share.run(list(files), Share(**chosen), out).rows
     assert row["output"] == str(out)
     return row
 
@@ -151,23 +151,13 @@ def test_other_disks_get_a_copy(trials: Path, tmp_path: Path, monkeypatch: pytes
     assert copy.stat().st_ino != source.stat().st_ino
 
 
-def test_nothing_is_replaced_unasked(trials: Path, tmp_path: Path) -> None:
-    """Assert that a folder is replaced only with --force, and only one that share made."""
+def test_a_folder_is_never_replaced(trials: Path, tmp_path: Path) -> None:
+    """Assert that a folder with anything in it is refused and stays."""
     out = tmp_path / "hub"
     shared(trials, out=out, title="first")
     with pytest.raises(InputError, match="the output exists"):
         shared(trials, out=out, title="second")
     assert fields(out)["pretty_name"] == "first"
-    shared(trials, out=out, title="second", force=True)
-    assert fields(out)["pretty_name"] == "second"
-    mine = tmp_path / "mine"
-    mine.mkdir()
-    (mine / "thesis.tex").touch()
-    with pytest.raises(InputError, match="is not replaced"):
-        shared(trials, out=mine, force=True)
-    assert (mine / "thesis.tex").exists()
-    visible = [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")]
-    assert sorted(visible) == ["a trial", "hub", "mine"]
 
 
 REFUSED: dict[str, tuple[str, str, dict[str, Any], str]] = {
@@ -175,7 +165,7 @@ REFUSED: dict[str, tuple[str, str, dict[str, Any], str]] = {
     "no model": ("data/a.tracks.h5", "hub", {}, "a.tracks.h5"),
     "an empty folder": ("empty", "hub", {}, "empty"),
     "into itself": ("data", "data/hub", {}, "data/hub"),
-    "over its own folder": ("data", ".", {"force": True}, "."),
+    "over its own folder": ("data", ".", {}, "."),
     "a damaged file": ("damaged", "hub", {}, "b.recording.h5"),
 }
 

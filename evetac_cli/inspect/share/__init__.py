@@ -9,6 +9,7 @@ import re
 import shlex
 import shutil
 from pathlib import Path
+from typing import Any
 
 from evetac_cli.commands.share import Share
 from evetac_cli.errors import InputError
@@ -16,15 +17,13 @@ from evetac_cli.formats.write.hub_card import Card
 from evetac_cli.inspect.share import data_card, model_card
 from evetac_cli.jobs import Outcome, Progress, require_possible_name, silent
 from evetac_cli.store.files import stem
-from evetac_cli.store.made_folders import new_folder, require_replaceable
+from evetac_cli.store.made_folders import new_folder, require_free
 
 README = "README.md"
 
 
-def run(
-    files: list[Path], params: Share, out: Path | None, *, force: bool = False, progress: Progress = silent
-) -> Outcome:
-    """Write the folder of a model or a data set; raise InputError if it exists and `force` is not set."""
+def run(files: list[Path], params: Share, out: Path | None, *, progress: Progress = silent, **_: Any) -> Outcome:
+    """Write the folder of a model or a data set; raise InputError if it has anything in it."""
     first = files[0]
     if first.is_dir():
         if len(files) > 1:
@@ -34,8 +33,8 @@ def run(
         card = model_card.describe(first, files[1:], params)
     name = first.resolve().name if first.is_dir() else stem(first)
     target = out if out is not None else first.resolve().with_name(f"{name}-hub")
-    _check_free(target, first, force)
-    files_made, size, note = _lay_out(target, card, progress, force=force)
+    _check_free(target, first)
+    files_made, size, note = _lay_out(target, card, progress)
     row = {
         "output": str(target),
         "what": card.what,
@@ -48,19 +47,17 @@ def run(
     return Outcome([row], card.simulated, {"notes": notes})
 
 
-def _check_free(target: Path, source: Path, force: bool) -> None:
-    """Raise InputError if the folder exists and may not be replaced, or if source or target contains the other."""
+def _check_free(target: Path, source: Path) -> None:
+    """Raise InputError if the folder has anything in it, or is inside the folder to be shared."""
     require_possible_name(target)
     if source.is_dir() and source.resolve() in (target.resolve(), *target.resolve().parents):
         raise InputError("the output is inside the folder to be shared", where=str(target))
-    if target.resolve() in source.resolve().parents and target.exists():
-        raise InputError("the output would replace the folder that contains the shared files", where=str(target))
-    require_replaceable(target, force=force)
+    require_free(target)
 
 
-def _lay_out(target: Path, card: Card, progress: Progress, *, force: bool) -> tuple[int, int, str]:
+def _lay_out(target: Path, card: Card, progress: Progress) -> tuple[int, int, str]:
     """Write or link all files of the folder; return their number, their size in bytes, and a note."""
-    with new_folder(target, force=force) as folder:
+    with new_folder(target) as folder:
         for name, content in {**card.written, README: card.text().encode()}.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(content)

@@ -3,7 +3,7 @@
 A trained file may be made from thousands of files. So its header has of its history only the trained files that it was
 adapted from, and two data sets, which are no part of its identity, have the rest: a row for each recording, and kind,
 method and parents of each file. A file that is made from a trained one has the rows, and the oldest methods, in the
-header of that ancestor. Headers of older files, with all ancestors, are converted to this form when they are read.
+header of that ancestor.
 """
 
 import json
@@ -34,8 +34,6 @@ COLUMNS: dict[str, tuple[type, ...]] = {
     "tracker": (str, NoneType),  # preset
     "true_slip_share": (bool,),  # whether the true slipping share of the contact was learned
 }
-# Method versions of `train` without this option, and the presets that always learned this share if it was available.
-LEARNED_TRUTH_METHODS, LEARNED_TRUTH_PRESETS = range(4, 7), ("adamw", "adapt")
 
 
 def scene_words(parameters: Mapping[str, Any], key: str) -> str | None:
@@ -72,14 +70,14 @@ def trajectories(headers: Iterable[Mapping[str, Any]]) -> list[Row]:
 def without_training_files(header: Header) -> Header:
     """Return a header in which trained files have tables instead of the files they were trained on."""
     history = header["history"]
-    trained = {id_: _with_table(one, history) for id_, one in history.items() if one["kind"] in TRAINED}
-    if header["kind"] in TRAINED and "ancestors" not in header:
+    trained = {id_: one for id_, one in history.items() if one["kind"] in TRAINED}
+    if header["kind"] in TRAINED:
         every = {id_: each for one in trained.values() for id_, each in one.get("ancestors", {}).items()}
         every |= {id_: {key: one[key] for key in ("kind", "method", "parents")} for id_, one in history.items()}
         bases = {id_: {key: one[key] for key in one if key not in TABLES} for id_, one in trained.items()}
-        tables = {"trajectories": _rows(header, history | trained), "ancestors": dict(sorted(every.items()))}
+        tables = {"trajectories": _rows(header), "ancestors": dict(sorted(every.items()))}
         return {**header, "history": bases, **tables, "methods": _oldest(every.values())}
-    if not trained or header["kind"] in TRAINED:
+    if not trained:
         return header
     kept: Header = _behind(header["parents"], history, TRAINED)
     for id_ in kept.keys() & trained.keys():
@@ -156,27 +154,20 @@ def _behind(ids: Iterable[str], history: Header, ends: tuple[str, ...] = ()) -> 
     return found
 
 
-def _with_table(model: Header, history: Header) -> Header:
-    """Return the header of a trained ancestor with its rows; without, if the history lacks its parents: of a grasp."""
-    if "trajectories" in model or any(parent not in history for parent in model["parents"]):
-        return model
-    every = _behind(model["parents"], history)
-    return {**model, "trajectories": _rows(model, history), "methods": _oldest(every.values())}
-
-
-def _rows(header: Header, history: Header) -> list[Row]:
-    parents = [history[id_] for id_ in header["parents"] if id_ in history]
+def _rows(header: Header) -> list[Row]:
+    """Return the rows of a trained file from its parents and their history."""
+    history = header["history"]
+    parents = [history[id_] for id_ in header["parents"]]
     files = [one for one in parents if one["kind"] not in TRAINED]
     learned = header["parameters"].get("trained_on", len(files))
-    truth = _learned_truth(header, files[:learned])
+    truth = bool(header["parameters"].get("learn_true_slip_share"))
     rows = []
     for number, file in enumerate(files):
         around = [file, *(history[id_] for id_ in file["parents"] if id_ in history)]
         role = VALIDATION if number >= learned else TRAINING
         rows.append(_row(recording_of(file, history) or file, role, around, truth=truth and number < learned))
     for base in (one for one in parents if one["kind"] in TRAINED):
-        of_base = base["trajectories"] if "trajectories" in base else _rows(base, history)
-        rows += [{**row, "role": EARLIER} for row in of_base]
+        rows += [{**row, "role": EARLIER} for row in base["trajectories"]]
     known = {row["recording"] for row in rows}
     others = (one for id_, one in _behind(header["parents"], history).items() if id_ not in known)
     return rows + [_row(one, EARLIER, [], truth=False) for one in others if one["kind"] == "recording"]
@@ -201,11 +192,3 @@ def _row(recording: Header, role: str, around: list[Header], *, truth: bool) -> 
         "tracker": tracker,
         "true_slip_share": truth,
     }
-
-
-def _learned_truth(model: Header, files: list[Header]) -> bool:
-    parameters = model["parameters"]
-    if "learn_true_slip_share" in parameters:
-        return bool(parameters["learn_true_slip_share"])
-    by_default = model["method"] in LEARNED_TRUTH_METHODS and parameters.get("preset") in LEARNED_TRUTH_PRESETS
-    return by_default and any(one["kind"] == "features" and one["simulated"] for one in files)

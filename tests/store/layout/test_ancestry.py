@@ -35,19 +35,6 @@ def model(*parents: Header, learned: int, **parameters: Any) -> Recipe:
     return Recipe("model", 9, {"trained_on": learned, **parameters}, parents=parents)
 
 
-def with_all_ancestors(recipe: Recipe) -> Header:
-    """The header as older files have it, with all ancestors."""
-    history: Header = {}
-    for parent in recipe.parents:
-        whole = parent if parent["kind"] != "model" else with_all_ancestors(FIRST)
-        history |= whole["history"] | {parent["id"]: {**parent, "history": None, "made": None}}
-    for one in history.values():
-        for name in (*ancestry.TABLES, "history", "made"):
-            one.pop(name, None)
-    tables = {name: value for name, value in recipe.header().items() if name not in ancestry.TABLES}
-    return {**tables, "history": history}
-
-
 KNOWN = recording(1, object=3, sensor="evetac", scene={"name": "slip"})
 UNKNOWN = recording(2, source="a.aedat4")
 CUT = Recipe("recording", 1, {"object": 5}, seed=3, parents=(recording(4, object=7),)).header()
@@ -79,13 +66,11 @@ def test_what_is_behind_a_base_and_a_recording_is_kept() -> None:
 
 
 @pytest.mark.parametrize("recipe", [FIRST, model(features(CUT), FIRST.header(), learned=1)], ids=["model", "adapted"])
-def test_tables_come_back_from_files_of_both_kinds(recipe: Recipe) -> None:
-    """Assert that the stored tables, and the header with all ancestors of an older file, give the same header."""
+def test_tables_come_back(recipe: Recipe) -> None:
+    """Assert that the stored tables give the same header."""
     header = recipe.header()
     plain = {name: value for name, value in header.items() if name not in ancestry.TABLES}
     assert ancestry.with_tables(plain, *ancestry.stored_tables(header).values()) == header
-    older = ancestry.without_training_files(with_all_ancestors(recipe))
-    assert older == {**header, "made": older["made"]}
 
 
 def test_a_report_has_the_rows_and_not_the_files() -> None:
@@ -100,11 +85,6 @@ def test_a_report_has_the_rows_and_not_the_files() -> None:
     assert unfolded(stored, 10**5) == header
     source = Source.of([header])
     assert (source.training_recordings, source.scenes, source.labels) == (2, ("slip",), ("truth",))
-    older = {**header, "history": {**header["history"], **with_all_ancestors(FIRST)["history"]}}
-    for id_ in (FIRST.id, other["id"]):
-        plain = {name: value for name, value in older["history"][id_].items() if name not in ancestry.TABLES}
-        older["history"][id_] = plain
-    assert ancestry.without_training_files(older) == header
 
 
 @pytest.mark.parametrize("change", [{"object": 1.5}, {"role": None}, {"more": 1}, {"recording": "0" * 64}])
@@ -136,15 +116,3 @@ def test_the_pretrained_detector(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="both trained on and evaluated on"):
         check_disjoint([found.header], [judged], "evaluated on", [tmp_path])
     check_disjoint([found.header], [KNOWN], "evaluated on", [tmp_path])
-
-
-def test_a_file_with_all_ancestors_in_its_header(tmp_path: Path) -> None:
-    """Assert that a model as older versions wrote it opens with the tables, and is valid."""
-    path = every_kind(tmp_path)["model"]
-    recipe = model(features(KNOWN), features(CUT), learned=1)
-    with h5py.File(path, "r+") as h5:
-        del h5["training"]
-        h5.attrs["header"] = json.dumps(folded({**with_all_ancestors(recipe), "version": "1.5"}))
-    with StageFile(path) as file:
-        assert file.header["trajectories"] == recipe.header()["trajectories"] and not file.header["history"]
-    assert validate.run([path]).summary["invalid"] == 0
