@@ -8,7 +8,6 @@ import math
 import os
 import re
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -71,18 +70,6 @@ class FileStamps:
         """Raise UnavailableError if a file changed since this object was created."""
         if self._stamps(self._path) != self._before:
             raise changed_meanwhile(self._path)
-
-
-@contextmanager
-def unchanged(path: Path) -> Iterator[None]:
-    """Raise UnavailableError if a file changed while the block read it, even if the block raised InputError."""
-    before = FileStamps(path)
-    try:
-        yield
-    except InputError:
-        before.check()
-        raise
-    before.check()
 
 
 def read_text(path: Path, most_bytes: int) -> str:

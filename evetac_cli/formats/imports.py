@@ -6,7 +6,6 @@ A format is recognized by the file's content, not by its name. The checks that a
 import math
 from collections import Counter
 from collections.abc import Generator, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -15,12 +14,13 @@ from typing import Any
 import numpy as np
 
 from evetac_cli import names, plugins
-from evetac_cli.errors import InputError, cannot_read
+from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events, concatenate, empty
 from evetac_cli.formats.read import read_aedat2, read_aedat4, read_hdf5, read_numpy, read_text
 from evetac_cli.formats.read.bags import read_rosbag
 from evetac_cli.formats.read.bags.bag_files import is_bag_folder
 from evetac_cli.formats.read.column_order import assumption
+from evetac_cli.formats.read.damage import reading
 from evetac_cli.formats.read.prophesee import read_prophesee
 from evetac_cli.formats.read.read_other_streams import Other, aedat4_streams, bag_streams
 from evetac_cli.formats.read.source import CleanEvents, EventSource, FrameUnknown, checked_frame
@@ -144,7 +144,7 @@ class EventFile:
         """
         self._path, self._options, self._folder = Path(path), options, folder
         self._stamps = FileStamps(self._path)
-        with _reading(self._path, self._stamps):
+        with reading(self._path, self._stamps):
             try:
                 self._source = _open(self._path, options.frame_px, options.of_readers())
             except FrameUnknown as unknown:
@@ -161,7 +161,7 @@ class EventFile:
         blocks = self._events.blocks()
         try:
             while True:
-                with _reading(self._path, self._stamps):
+                with reading(self._path, self._stamps):
                     block = next(blocks, None)
                 if block is None:
                     break
@@ -180,7 +180,7 @@ class EventFile:
         t_offset_us = events.first_us + source.clock_us if events.size or note else 0
         notes = [*source.notes, *_losses(source, events, lacks_events=lacks_events), *events.corrections]
         notes += source.times.notes if source.times else []
-        with _reading(self._path, self._stamps):
+        with reading(self._path, self._stamps):
             if self._options.order.from_restart is None:
                 others = {"frames": self._options.frames, "folder": self._folder, "topic": self._options.stream}
                 streams, stream_notes = _kept(self._path, source, t_offset_us, slices, others)
@@ -208,20 +208,6 @@ def read_events(path: str | Path, **options: Any) -> Imported:
     file = EventFile(path, ImportOptions(**options))
     events = concatenate(list(file.blocks()))
     return replace(file.finish(), events=events)
-
-
-@contextmanager
-def _reading(path: Path, before: FileStamps) -> Iterator[None]:
-    """Turn errors while reading into InputError; if the file changed during reading, report that instead."""
-    try:
-        yield
-    except InputError:
-        before.check()
-        raise
-    except OSError as error:
-        raise cannot_read(error, path) from error
-    except MemoryError as error:
-        raise InputError("the file does not fit in memory", where=str(path), hint="split it") from error
 
 
 def _kept(

@@ -8,7 +8,10 @@ in text.
 
 import json
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
 
 from evetac_cli.errors import InputError
 from evetac_cli.text_files import parse_json
@@ -26,11 +29,11 @@ LONGEST_SLICES = 6 * 3600 * 1000 + 1
 class Note:
     """The exported recording: its first microsecond in the file's clock, its slices, its frame, and its origin."""
 
-    start_us: int
-    slices: int
+    start_us: Annotated[int, Meta(ge=-CLOCK_LIMIT_US, le=CLOCK_LIMIT_US)]
+    slices: Annotated[int, Meta(ge=0, le=LONGEST_SLICES)]
     frame_px: tuple[int, int]
     simulated: bool
-    events: int | None = None  # how many were written; fewer in the file mean that its end is missing
+    events: Annotated[int, Meta(ge=0, le=CLOCK_LIMIT_US)] | None = None  # written; fewer mean that the end is missing
 
     def text(self) -> str:
         """Return the note as one line of JSON, as it is written into the file."""
@@ -40,17 +43,7 @@ class Note:
 def read_note(text: str, where: str) -> Note:
     """Parse a note; raise InputError if it was edited and no longer has the expected fields and values."""
     try:
-        fields: dict[str, Any] = dict(parse_json(text))
-        start_us, slices, (width, height) = fields["start_us"], fields["slices"], fields["frame_px"]
-        events = fields.get("events")
-        whole = all(type(number) is int for number in (start_us, slices, width, height, events or 0))
-        if not whole or type(fields["simulated"]) is not bool:
-            raise ValueError("values have wrong types")
-        if not 0 <= slices <= LONGEST_SLICES:
-            raise ValueError(f"impossible number of slices: {slices}")
-        if abs(start_us) > CLOCK_LIMIT_US or (events is not None and not 0 <= events <= CLOCK_LIMIT_US):
-            raise ValueError(f"impossible start or number of events: {start_us} us, {events} events")
-    except (ValueError, KeyError, TypeError) as error:
+        return msgspec.convert(parse_json(text), Note)
+    except ValueError as error:
         message = f"the note that evetac wrote into this file is damaged: {str(error)[:80]}"
         raise InputError(message, where=where, found=text[:80]) from None
-    return Note(start_us, slices, (width, height), fields["simulated"], events)

@@ -9,15 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from evetac_cli.errors import InputError, cannot_read
+from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.formats.imports import BAG
 from evetac_cli.formats.read.bags.bag_files import is_bag_folder
 from evetac_cli.formats.read.bags.host_clock import clock_of_bag, on_sensor_clock
 from evetac_cli.formats.read.bags.read_bag_stream import read_bag_stream
+from evetac_cli.formats.read.damage import reading
 from evetac_cli.formats.read.read_table import read_table
 from evetac_cli.store.recordings.streams import Stream
-from evetac_cli.text_files import open_regular, unchanged
+from evetac_cli.text_files import FileStamps, open_regular
 
 
 def read_stream(
@@ -29,24 +30,23 @@ def read_stream(
     length_s: length of the recording, which an assumed unit of time has to fit.
     """
     path, topic = _parted(source)
-    try:
-        with unchanged(path):
-            if _is_bag(path):
-                stream, notes = read_bag_stream(path, topic, folder)
-            elif topic:
-                raise InputError("a topic was given, but the file is not a bag", where=str(path), found=topic)
-            else:
-                stream, notes = read_table(path, folder, length_s)
-    except OSError as error:
-        raise cannot_read(error, path) from error
-    except MemoryError as error:
-        raise InputError("the file does not fit in memory", where=str(path), hint="is the file damaged?") from error
+    before = FileStamps(path)
+    with reading(path, before):
+        if _is_bag(path):
+            stream, notes = read_bag_stream(path, topic, folder)
+        elif topic:
+            raise InputError("a topic was given, but the file is not a bag", where=str(path), found=topic)
+        else:
+            stream, notes = read_table(path, folder, length_s)
+    before.check()
     back = np.flatnonzero(stream.t_us[1:] < stream.t_us[:-1])
     if len(back):
         at = int(back[0])
-        before, after = (f"{stream.t_us[row] / 1e6:.6f} s" for row in (at, at + 1))
+        earlier, later = (f"{stream.t_us[row] / 1e6:.6f} s" for row in (at, at + 1))
         message, where = "the times of the stream go backwards", f"{source}: sample {at + 2}"
-        raise InputError(message, where=where, expected=f"at least {before}", found=after, hint="sort the rows by time")
+        raise InputError(
+            message, where=where, expected=f"at least {earlier}", found=later, hint="sort the rows by time"
+        )
     return replace(stream, name=name), notes
 
 

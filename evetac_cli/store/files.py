@@ -14,7 +14,6 @@ import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -24,7 +23,7 @@ from evetac_cli.errors import EvetacError, InputError, SchemaError
 from evetac_cli.interrupts import leave_if_interrupted
 from evetac_cli.kernels.slip.architectures import SENSITIVITY_DATASETS, Sensitivity, sensitivity_of
 from evetac_cli.store.hdf5.checked_hdf5 import CheckedHdf5, damage_in_words
-from evetac_cli.store.hdf5.chunks import RowReader, RowWriter, put
+from evetac_cli.store.hdf5.chunks import RowWriter, put
 from evetac_cli.store.hdf5.disk import Recheck, existing_folder, new_file, taking_the_place_of
 from evetac_cli.store.layout import ancestry, contents, netcdf, schema
 from evetac_cli.store.layout.provenance import (
@@ -56,8 +55,7 @@ class StageFile:
             if recompute_id(self.header) != self.header["id"]:
                 fault = "its header was edited: the recipe id does not fit it"
                 raise SchemaError(fault, where=str(self.path))
-            self._found = self._file.survey(partial(netcdf.is_dimension, self.kind))
-            self._readers: dict[str, RowReader] = {}
+            self._found = self._file.survey()
             self._looked_at: set[str] = set()
             self._passed: set[Rule] = set()
             with damage_in_words(self.path, "its contents"):
@@ -66,7 +64,7 @@ class StageFile:
                 }
                 lines = schema.problems(schema.load(self.kind), self._shapes)
             self._refuse_if(lines)
-            contents.check_shapes(self.kind, self.path, self._shapes)
+            contents.check_shapes(self, self._shapes)
             with damage_in_words(self.path, "its history"):
                 if self.kind in ancestry.TRAINED:
                     tables = self.read(ancestry.TRAJECTORIES), self.read(ancestry.ANCESTORS)
@@ -84,7 +82,6 @@ class StageFile:
     def close(self) -> None:
         """Close the file; arrays that were read stay valid."""
         self._found.clear()  # otherwise h5py searches for open objects of the file, which takes as long as opening it
-        self._readers.clear()
         self._file.close()
 
     @property
@@ -151,9 +148,7 @@ class StageFile:
                 return self._file.text(path, found)
             return h5py.Dataset(found)[()]
         start, stop, _ = slice(start, stop).indices(found.shape[0])
-        if path not in self._readers:
-            self._readers[path] = RowReader(found, found.dtype)
-        array = self._readers[path].read(start, stop)
+        array = h5py.Dataset(found)[start : max(start, stop)]
         return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
 
     def length(self, path: str) -> int:

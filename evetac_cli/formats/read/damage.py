@@ -6,9 +6,11 @@ column with a single polarity comes close to this; all numbers of events or samp
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
-from evetac_cli.errors import EvetacError, InputError
+from evetac_cli.errors import EvetacError, InputError, cannot_read
+from evetac_cli.text_files import FileStamps
 
 MOST_TIMES = 100  # largest ratio of unpacked to packed size
 ALWAYS_BYTES = 64 << 20  # size that anything may unpack to
@@ -35,6 +37,20 @@ def unpacked(decompressor: Callable[[], Any], packed: bytes, where: str) -> byte
     if not stream.eof:
         raise ValueError("a compressed part ends early")
     return content
+
+
+@contextmanager
+def reading(path: Path, before: FileStamps) -> Iterator[None]:
+    """Turn errors while reading into InputError; if the file changed during reading, report that instead."""
+    try:
+        yield
+    except InputError:
+        before.check()
+        raise
+    except OSError as error:
+        raise cannot_read(error, path) from error
+    except MemoryError as error:
+        raise InputError("the file does not fit in memory", where=str(path), hint="split it") from error
 
 
 @contextmanager

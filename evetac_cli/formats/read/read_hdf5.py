@@ -70,7 +70,9 @@ def open_hdf5(
         layout, others = _choose(file, datasets, stream)
         with damage_in_words(path, "its contents"):
             for name in layout.paths:
-                _check_kind(file, datasets[name], layout, name)
+                if not _is_readable(datasets[name], layout, name):
+                    found = f"`{name}`: {str(datasets[name].dtype)[:120]} of shape {datasets[name].shape}"
+                    raise InputError("the file has no event columns", where=where, expected=EXPECTED, found=found)
             rows = [len(datasets[name]) for name in layout.paths]
             check_lengths(rows * (4 // len(rows)), where)
             clock_us = _t_offset(datasets, where) if layout.name == "DSEC" else 0
@@ -165,27 +167,18 @@ def _refuse_own(file: CheckedHdf5) -> None:
         raise InputError("this is already a file of evetac", where=file.where, hint=hint)
 
 
-def _check_kind(file: CheckedHdf5, dataset: Any, layout: Hdf5Layout, name: str) -> None:
-    """Raise InputError unless a dataset of events is a list of numbers, a table of four columns, or a compound."""
-    shape: tuple[int, ...] = dataset.shape or ()
-    kind = dataset.dtype.kind
-    if len(layout.paths) == 1:
-        expected = f"a table of {layout.order}, shape (N, 4)" if layout.order else "a compound with t, x, y, p"
-        good = len(shape) == 2 and shape[1] == 4 and kind in "iuf" if layout.order else _is_compound(dataset)
-        found = f"`{name}` is one table of shape {shape}" if kind in "iuf" else f"{str(dataset.dtype)[:120]}"
-        if not good:
-            raise InputError("the file has no event columns", where=file.where, expected=expected, found=found)
-        return
-    timed = name == layout.paths[0]
-    kinds = "iub" if name == layout.paths[3] else "iuf" if timed and layout.us_per_unit is None else "iu"
-    if kind not in kinds or len(shape) != 1:
-        expected = "a list of integers" + (" in microseconds" if timed and layout.us_per_unit == 1 else "")
-        found = f"{dataset.dtype} of shape {shape}"
-        raise InputError(f"{name} is not a column of numbers", where=file.where, expected=expected, found=found)
+def _is_readable(dataset: Any, layout: Hdf5Layout, name: str) -> bool:
+    """Whether a dataset of events is a list of numbers, a table of four columns, or a compound with t, x, y, p.
 
-
-def _is_compound(dataset: Any) -> bool:
-    return len(dataset.shape or ()) == 1 and bool(_fields(dataset.dtype))
+    Times are whole numbers, because a layout that documents a unit of time stores no fractions of it.
+    """
+    shape, kind = dataset.shape or (), dataset.dtype.kind
+    if len(layout.paths) == 4:
+        is_time_of_unknown_unit = name == layout.paths[0] and layout.us_per_unit is None
+        return len(shape) == 1 and kind in ("iuf" if is_time_of_unknown_unit else "iub")
+    if layout.order:
+        return len(shape) == 2 and shape[1] == 4 and kind in "iuf"
+    return len(shape) == 1 and bool(_fields(dataset.dtype))
 
 
 def _contents(file: CheckedHdf5, missing: list[str]) -> str:

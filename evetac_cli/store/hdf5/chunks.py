@@ -1,17 +1,14 @@
-"""Datasets of chunks with gzip and shuffle, compressed and decompressed here.
+"""Datasets of chunks with gzip and shuffle, compressed here.
 
 Every HDF5 tool reads them without a plugin. ISA-L (isal) compresses events four times as fast as the zlib in HDF5, to
-the same size, and decompresses them in two thirds of the time. With zlib, this is most of the time for writing or
-reading a file of events.
+the same size. With zlib, this is most of the time for writing a file of events.
 """
 
-import math
 from typing import Any
 
 import h5py
 import numpy as np
-from h5py import h5d, h5s, h5z
-from isal import igzip_lib, isal_zlib
+from isal import isal_zlib
 from numpy.typing import NDArray
 
 CHUNK_ROWS = 65536
@@ -92,69 +89,6 @@ class RowWriter:
         shuffled = np.ascontiguousarray(numbers.T)  # first bytes of all numbers, then second bytes, ...
         packed = isal_zlib.compress(shuffled, ISAL_LEVEL)
         self.dataset.id.write_direct_chunk((first,) + (0,) * (self._open.ndim - 1), packed)
-
-
-class RowReader:
-    """Reads rows of a dataset; the last decompressed chunk is kept for further rows in it.
-
-    Chunks with another compression, or none, are read by HDF5.
-    """
-
-    def __init__(self, dataset: h5d.DatasetID, dtype: np.dtype[Any]) -> None:
-        self._dataset, self._shape, self._dtype = dataset, dataset.shape, dtype
-        recipe = dataset.get_create_plist()
-        self._chunks: Any = recipe.get_chunk() if recipe.get_layout() == h5d.CHUNKED else ()
-        self._first = -1  # first row of the kept chunk
-        self._kept: NDArray[Any] = np.empty(0)
-        self._nothing = self._kept
-        filters = [recipe.get_filter(number)[0] for number in range(recipe.get_nfilters())]
-        self._ours = (
-            filters == [h5z.FILTER_SHUFFLE, h5z.FILTER_DEFLATE]
-            and self._chunks[1:] == self._shape[1:]
-            and self._dtype.kind in "iuf"
-        )
-
-    def read(self, start: int, stop: int) -> NDArray[Any]:
-        """Return the rows [start, stop) as stored; OSError if a chunk is damaged."""
-        if not self._ours or start >= stop:
-            return self._by_hdf5(start, stop)
-        chunk = self._chunks[0]
-        rows = np.empty((stop - start, *self._shape[1:]), self._dtype)
-        for first in range(start - start % chunk, stop, chunk):
-            if first != self._first:
-                self._kept, self._first = self._nothing, -1  # free the old chunk first
-                self._kept, self._first = self._unpacked(first), first
-            begin, end = max(start, first), min(stop, first + chunk)
-            rows[begin - start : end - start] = self._kept[begin - first : end - first]
-        return rows
-
-    def _unpacked(self, first: int) -> NDArray[Any]:
-        """Return the decompressed chunk that starts at this row."""
-        left_out, packed = self._dataset.read_direct_chunk((first,) + (0,) * (len(self._shape) - 1))
-        if left_out:  # the writer skipped some filters
-            return self._by_hdf5(first, min(first + self._chunks[0], self._shape[0]))
-        size = math.prod(self._chunks) * self._dtype.itemsize
-        unpacker = isal_zlib.decompressobj()
-        try:
-            shuffled = unpacker.decompress(packed, size + 1)  # limited, against decompression bombs
-        except igzip_lib.IsalError as error:  # type: ignore[misc]  # its stub says no class
-            raise OSError(f"a chunk cannot be unpacked: {error}") from None
-        if len(shuffled) != size or not unpacker.eof:
-            raise OSError(f"a chunk does not unpack to its {size} bytes")
-        planes = np.frombuffer(shuffled, np.uint8).reshape(self._dtype.itemsize, -1)
-        numbers = np.empty(planes.shape[::-1], np.uint8)
-        for place, plane in enumerate(planes):  # three times as fast as a copy of planes.T
-            numbers[:, place] = plane
-        chunk: NDArray[Any] = numbers.view(self._dtype).reshape(self._chunks)
-        return chunk
-
-    def _by_hdf5(self, start: int, stop: int) -> NDArray[Any]:
-        rows = np.empty((max(0, stop - start), *self._shape[1:]), self._dtype)
-        if rows.size:
-            space = self._dataset.get_space()
-            space.select_hyperslab((start,) + (0,) * (len(self._shape) - 1), rows.shape)
-            self._dataset.read(h5s.create_simple(rows.shape), space, rows)
-        return rows
 
 
 def put(h5: h5py.File, name: str, value: Any) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError, SchemaError
 from evetac_cli.store.layout import schema
-from evetac_cli.store.layout.rules import RULES, RULES_OF_SHAPES, Contents, Fault, Rule, Shapes, blocks
+from evetac_cli.store.layout.rules import RULES, Contents, Fault, Rule, Shapes, blocks
 from evetac_cli.store.layout.schema import Dataset, Limits
 from evetac_cli.text_files import SEED_BITS, parse_json
 
@@ -39,17 +39,15 @@ def check_values(file: Contents, path: str, values: Any, first: int = 0) -> None
         _refuse(file.path, (path, *fault))
 
 
-def check_shapes(kind: str, path: Path, shapes: Shapes) -> None:
-    """Raise SchemaError if the set of datasets, or their shapes, are invalid; path: that of the file."""
-    table = schema.load(kind)
+def check_shapes(file: Contents, shapes: Shapes) -> None:
+    """Raise SchemaError if the set of datasets, or their shapes, are invalid."""
+    table = schema.load(file.kind)
     for name in shapes:
         row = table.find(name)
         for other in (row.limits.index_of, row.limits.nan_where) if row is not None else ():
             if other and other not in shapes:
-                _refuse(path, (name, f"together with {other}", f"no {other} in the file"))
-    for rule in RULES_OF_SHAPES.get(kind, ()):
-        for fault in rule(shapes):
-            _refuse(path, fault)
+                _refuse(file.path, (name, f"together with {other}", f"no {other} in the file"))
+    _check_rules(file, "", shapes, set())
 
 
 def check_first(file: Contents, name: str, shapes: Shapes, passed: set[Rule]) -> None:
@@ -69,6 +67,10 @@ def check_first(file: Contents, name: str, shapes: Shapes, passed: set[Rule]) ->
         if (begin, end) != (0, rows):
             expected = f"begins at 0 and ends at {rows}, the length of {row.limits.index_of}"
             _refuse(file.path, (name, expected, f"{begin} and {end}"))
+    _check_rules(file, name, shapes, passed)
+
+
+def _check_rules(file: Contents, name: str, shapes: Shapes, passed: set[Rule]) -> None:
     for rule, concerns in RULES.get(file.kind, ()):
         if rule in passed or not re.fullmatch(concerns, name):
             continue

@@ -103,7 +103,7 @@ def _lost_slices(file: Contents, shapes: Shapes) -> Iterator[Fault]:
             yield "capture/lost_slices", "gaps that end after they begin", f"{wrong[0][0]} to {wrong[0][1]}"
 
 
-def _stream_shapes(shapes: Shapes) -> Iterator[Fault]:
+def _stream_shapes(file: Contents, shapes: Shapes) -> Iterator[Fault]:
     """Check the names of streams and columns, and the shape of images."""
     for path, (_, shape) in shapes.items():
         if not path.startswith(f"{streams.GROUP}/"):
@@ -127,7 +127,7 @@ def _units_of_streams(file: Contents, shapes: Shapes) -> Iterator[Fault]:
                 yield path, "`units` that are texts, by column", str(units)[:SHORT]
 
 
-def _label_and_onset(shapes: Shapes) -> Iterator[Fault]:
+def _label_and_onset(file: Contents, shapes: Shapes) -> Iterator[Fault]:
     for one, other in (("label", "onset_slice"), ("onset_slice", "label")):
         if one in shapes and other not in shapes:
             yield other, f"{other}, because {one} is present", "none"
@@ -203,22 +203,19 @@ def _onset(file: Contents, shapes: Shapes) -> Iterator[Fault]:
         yield "onset_slice", f"{slip}, the first slice of slip in label, or -1", str(onset)
 
 
-RULES_OF_SHAPES: dict[str, tuple[Callable[[Shapes], Iterator[Fault]], ...]] = {
-    "recording": (_stream_shapes,),
-    "features": (_label_and_onset,),
-}
 _SENSOR = "sensor/(frame|window|dot_radius|dot_xy)_px|(truth/)?dot_xy_px"
 _ONSET = "label|onset_slice|abstained"
-# Rules, each with a pattern for the datasets that it concerns.
+# Rules, each with a pattern for the datasets that it concerns; an empty one is for names and shapes alone.
 RULES: dict[str, tuple[tuple[Rule, str], ...]] = {
     "recording": (
         (_sensor, _SENSOR),
         (_lost_slices, "capture/lost_slices"),
         (_units_of_streams, f"{streams.GROUP}/.*"),
+        (_stream_shapes, ""),
     ),
     "tracks": ((_sensor, _SENSOR),),
     "labels": ((_onset, _ONSET),),
-    "features": ((_grid_of_features, "dot_shape|displacement_px"), (_onset, _ONSET)),
+    "features": ((_grid_of_features, "dot_shape|displacement_px"), (_onset, _ONSET), (_label_and_onset, "")),
     "model": ((_weights, "architecture|history|dot_shape|weights/.*"),),
     "force-model": ((_layers_of_force, "dot_shape|network/0/weight"),),
 }

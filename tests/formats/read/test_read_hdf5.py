@@ -148,10 +148,10 @@ def test_prophesee_s_codec_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "data", "words"),
     [
-        ("events", np.zeros((3, 5)), "one table of shape (3, 5)"),
+        ("events", np.zeros((3, 5)), "`events`: float64 of shape (3, 5)"),
         ("events", np.array([b"a", b"b"]), "no event columns"),
-        ("CD/events", np.zeros((3, 4)), "a compound with t, x, y, p"),
-        ("CD/events", np.zeros(3, [("t", "i8"), ("x", "S4"), ("y", "i2"), ("p", "i2")]), "a compound with"),
+        ("CD/events", np.zeros((3, 4)), "`CD/events`: float64"),
+        ("CD/events", np.zeros(3, [("t", "i8"), ("x", "S4"), ("y", "i2"), ("p", "i2")]), "no event columns"),
         ("davis/left/events", np.array([[1, 2, 1e300, 1.0]]), "time out of range"),
         ("davis/left/events", np.array([[1, 2.5, 1, 1.0]]), "y is not a whole pixel"),
         ("davis/left/depth", np.zeros((3, 4)), "found:    davis"),

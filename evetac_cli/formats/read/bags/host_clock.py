@@ -171,7 +171,7 @@ def _pair(connection: Connection, received_ns: int, message: bytes) -> tuple[Pai
             words = PropheseeDecoder(content.encoding)
             size = np.dtype(words.encoding.dtype).itemsize
             whole = content.content[: len(content.content) // size * size]
-            times = words.part(np.frombuffer(whole, words.encoding.dtype), str).t
+            times = words.part(np.frombuffer(whole, words.encoding.dtype), str)[0][0]
             turn_us = words.encoding.tick_us << words.encoding.high_bits
         else:
             decode = decoder(content.encoding)

@@ -32,18 +32,6 @@ from evetac_cli.formats.read.source import EventColumns, EventSource, ImportForm
 from evetac_cli.store.recordings.streams import Stream
 
 
-class EventBlock(NamedTuple):
-    """Events of a block: t in us, x, y, p; and triggers: time in us, input, 1 for a rising and 0 for a falling edge."""
-
-    t: NDArray[np.int64]
-    x: NDArray[np.uint16]
-    y: NDArray[np.uint16]
-    p: NDArray[np.uint8]
-    trigger_t: NDArray[np.int64]
-    trigger_id: NDArray[np.uint8]
-    trigger_edge: NDArray[np.uint8]
-
-
 class PropheseeDecoder:
     """Decodes the words of one stream, block by block."""
 
@@ -62,8 +50,12 @@ class PropheseeDecoder:
         self._timed = False
         self._state = np.zeros(1, STATE)
 
-    def part(self, words: NDArray[Any], place: Callable[[int], str]) -> EventBlock:
-        """Decode the events and triggers of the next complete words; place(i): a text on the position of word i."""
+    def part(self, words: NDArray[Any], place: Callable[[int], str]) -> tuple[list[NDArray[Any]], list[NDArray[Any]]]:
+        """Decode the next complete words; place(i): a text on the position of word i.
+
+        Return the columns t (us), x, y, p of the events; and of the triggers: time in us, input, 1 for a rising and 0
+        for a falling edge.
+        """
         encoding = self.encoding
         shift = 8 * words.dtype.itemsize - 4
         first = 0
@@ -88,7 +80,7 @@ class PropheseeDecoder:
         columns: list[Any] = [np.empty(most, kind) for kind in (np.int64, np.uint16, np.uint16, np.uint8)]
         edges: list[Any] = [np.empty(triggers, kind) for kind in (np.int64, np.uint8, np.uint8)]
         events = self._loop(words, highs, self._state, tuple(columns), tuple(edges))
-        return EventBlock(*(column[:events] for column in columns), *edges)
+        return [column[:events] for column in columns], edges
 
 
 OFFSET = "t_offset_us"  # the key of a line that evetac writes
@@ -219,15 +211,15 @@ def decoded(
 ) -> Iterator[EventColumns]:
     """Yield the events of blocks of RAW words; at the end add triggers and left-out data to `source`."""
     decoder = PropheseeDecoder(kind)
-    triggers: list[tuple[NDArray[Any], ...]] = []
+    triggers: list[list[NDArray[Any]]] = []
     done = 0
     for words, place in blocks:
-        part = decoder.part(words, place)
-        if len(part.trigger_t):
-            triggers.append(part[4:])
-        if len(part.t):
-            yield EventColumns(*part[:4], partial(at_index, done))
-        done += len(part.t)
+        (t, x, y, p), edges = decoder.part(words, place)
+        if len(edges[0]):
+            triggers.append(edges)
+        if len(t):
+            yield EventColumns(t, x, y, p, partial(at_index, done))
+        done += len(t)
     undefined = decoder.undefined.total()
     if undefined > MOST_UNDEFINED * decoder.words:  # of all words, because a block may have only a few
         message = f"the content is not {decoder.encoding.name}, which the header states"
