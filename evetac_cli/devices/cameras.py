@@ -4,8 +4,12 @@
 `open` starts the camera. Its driver is imported only then, so the libraries of unused devices need not be installed.
 """
 
+import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from itertools import chain
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -14,7 +18,7 @@ from evetac_cli import names, plugins
 from evetac_cli.devices import EventCamera
 from evetac_cli.devices.naming import EVENTS_S, FIRMWARES, camera_fault, no_such_device, options, parse_number
 from evetac_cli.errors import InputError
-from evetac_cli.events import FRAME_PX
+from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.names import Capability
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.store.layout.provenance import Header
@@ -23,13 +27,6 @@ from evetac_cli.store.recordings.read import open_recording
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.word_sources import PreparedWords
     from evetac_cli.devices.virtual.world import VirtualWorld
-
-import math
-from collections.abc import Mapping
-from itertools import chain
-from types import MappingProxyType
-
-from evetac_cli.events import SLICE_US, Events
 
 PREPARED_EVENTS_S = 1_000_000
 PREPARED_S = 120  # duration of prepared words; the camera is silent afterwards
@@ -136,10 +133,8 @@ class Simulated(NamedCamera):
     name = "sim"
     own_gripper = "sim"
 
-    @property
-    def capabilities(self) -> frozenset[Capability]:
-        """The camera always needs a scene; its time passes as slices are read."""
-        return frozenset({Capability.STEPPED, Capability.SCENE, Capability.SIMULATED})
+    # It always needs a scene; its time passes as slices are read.
+    capabilities = frozenset({Capability.STEPPED, Capability.SCENE, Capability.SIMULATED})
 
 
 @dataclass(frozen=True)
@@ -192,17 +187,13 @@ class Dvxplorer(NamedCamera):
     """`dvxplorer[:SERIAL]`: a DVXplorer Mini, through evetac's own driver."""
 
     name = "dvxplorer"
+    capabilities = frozenset({Capability.DEVICE, Capability.HARDWARE, Capability.ADJUSTABLE})
     serial: str | None = None
 
     @classmethod
     def parse(cls, text: str) -> Self:
         """Parse an optional serial number."""
         return cls(text or None)
-
-    @property
-    def capabilities(self) -> frozenset[Capability]:
-        """A real camera with adjustable thresholds and readout rate."""
-        return frozenset({Capability.DEVICE, Capability.HARDWARE, Capability.ADJUSTABLE})
 
     def __str__(self) -> str:
         return f"{self.name}:{self.serial}" if self.serial else self.name
@@ -243,6 +234,7 @@ class Replay(NamedCamera):
     """`replay:FILE`: a recording, played at its original speed."""
 
     name = "replay"
+    capabilities = frozenset({Capability.DEVICE, Capability.REPLAY})
     path: Path
 
     @classmethod
@@ -251,11 +243,6 @@ class Replay(NamedCamera):
         if not text:
             raise _no_such_camera(cls.name)
         return cls(Path(text))
-
-    @property
-    def capabilities(self) -> frozenset[Capability]:
-        """A device whose stream ends and which has no settings."""
-        return frozenset({Capability.DEVICE, Capability.REPLAY})
 
     def __str__(self) -> str:
         return f"{self.name}:{self.path}"

@@ -15,7 +15,7 @@ import numpy as np
 
 from evetac_cli.devices.device_slices import DeviceSlices
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
-from evetac_cli.errors import DeviceError, missing_extra
+from evetac_cli.errors import DeviceError, needs_extra
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 
@@ -39,7 +39,9 @@ class DvCamera:
     ) -> None:
         self.settings = settings or DvxplorerSettings()
         self.where = f"--camera dv{':' + serial if serial else ''}"
-        library = library or _library(self.where)
+        if library is None:
+            with needs_extra("dv-processing is not installed", "camera", self.where):
+                import dv_processing as library
         self._camera: Any = None
         try:
             self._camera = library.io.camera.DVXplorerM(*([serial] if serial else []))
@@ -128,15 +130,6 @@ class DvCamera:
         self._camera.setGlobalHold(self.settings.global_hold)
         self._camera.setMIPITimeoutValue(timedelta(microseconds=self.settings.flush_us))
         self._camera.setTimeInterval(timedelta(microseconds=SLICE_US))
-
-
-def _library(where: str) -> Any:
-    """Return the module dv_processing; MissingLibrary if it is not installed."""
-    try:
-        import dv_processing
-    except ImportError as error:
-        raise missing_extra("dv-processing is not installed", "camera", where=where, error=error) from error
-    return dv_processing
 
 
 def _now_us() -> float:

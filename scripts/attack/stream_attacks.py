@@ -102,6 +102,8 @@ def attack(attacked: Attack, seconds: float, events_s: float, time: TimeSource =
         reported = events_lost(camera.counted)
     # After closing, nothing moves any more: each event is in one place, however busy the computer is.
     waiting, words_left = camera.waiting
-    words_left += device.waiting
+    words_left += device.model.waiting
     waiting += int(events_in(np.frombuffer(words_left, "<u4", len(words_left) // 4)))
-    return Ending(slices, host_ms, events, device.events_seen, reported, waiting if attacked.is_countable else None)
+    return Ending(
+        slices, host_ms, events, device.model.events_seen, reported, waiting if attacked.is_countable else None
+    )

@@ -41,7 +41,7 @@ class CountingDvxplorer(dvxplorer.VirtualDvxplorer):
 
     def bulk_read(self, *given: Any) -> int:
         """Note the time of the last read of the stream."""
-        self.last_s = time.monotonic() if self._model._runs else 0.0
+        self.last_s = time.monotonic() if self.model._runs else 0.0
         return super().bulk_read(*given)
 
 
@@ -57,7 +57,7 @@ def record_and_count(words: list[str], counts: Path) -> None:
         (camera,) = CountingDvxplorer.made
         peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         host_ms = 1e3 * (camera.last_s - camera.first_s)
-        counts.write_text(json.dumps({"seen": camera.events_seen, "host_ms": host_ms, "peak_mb": peak_mb}))
+        counts.write_text(json.dumps({"seen": camera.model.events_seen, "host_ms": host_ms, "peak_mb": peak_mb}))
 
 
 def attacked(attack: Attack, seconds: float, events_s: float, memory_mb: float) -> dict[str, Any]:

@@ -38,8 +38,8 @@ def _fail(what: str, number: int, code: int) -> NoReturn:
 class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no types
     """One camera and its bus; pass it as `backend` to DvxplorerCamera.
 
-    firmware: 10 takes 8-byte values, 9 and earlier 4-byte values; board: 4 for a Mini; faults: see naming.py. `log`
-    holds every executed vendor request: (request, value, index, data).
+    firmware: 10 takes 8-byte values, 9 and earlier 4-byte values; board: 4 for a Mini; faults: see naming.py. `model`
+    is the camera behind the USB; `log` holds every executed vendor request: (request, value, index, data).
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         self._strings = ("\u0409", *_STRINGS, serial)
         self._configuration = 1
         self._source = source
-        self._model = DeviceModel(source, firmware, faults, fifo_bytes)
+        self.model = DeviceModel(source, firmware, faults, fifo_bytes)
         self.log: list[tuple[int, int, int, bytes]] = []
 
     @property
@@ -65,26 +65,11 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         """The time source of its words; the driver uses it too."""
         return self._source.time
 
-    @property
-    def overflowed(self) -> int:
-        """Words that were lost because they were not fetched in time."""
-        return self._model.overflowed
-
-    @property
-    def events_seen(self) -> int:
-        """Events of its sensor while it ran, including lost ones: the reference for a recording."""
-        return self._model.events_seen
-
-    @property
-    def waiting(self) -> bytes:
-        """Words in its buffer that were not fetched yet."""
-        return self._model.waiting
-
     # The interface that pyusb requires of a bus.
 
     def enumerate_devices(self) -> Iterator[Any]:
         """Yield the camera, unless it is unplugged."""
-        if not self._model.has("unplug"):
+        if not self.model.has("unplug"):
             yield self
 
     def get_parent(self, dev: Any) -> None:
@@ -111,7 +96,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
             bus=9,
             port_number=1,
             port_numbers=(1,),
-            speed=3 if self._model.has("usb2") else 4,
+            speed=3 if self.model.has("usb2") else 4,
         )
 
     def get_configuration_descriptor(self, dev: Any, config: int) -> Any:
@@ -140,7 +125,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def open_device(self, dev: Any) -> Any:
         """Return the handle for all further calls, which is this camera; USBError without permission."""
         self._check()
-        if self._model.has("no-permission"):
+        if self.model.has("no-permission"):
             _fail("Access denied (insufficient permissions)", errno.EACCES, -3)
         return self
 
@@ -160,7 +145,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def claim_interface(self, dev_handle: Any, intf: int) -> None:
         """Claim the interface; USBError (busy) if the fault is that another program has it."""
         self._check()
-        if self._model.has("busy"):
+        if self.model.has("busy"):
             _fail("Resource busy", errno.EBUSY, -6)
 
     def release_interface(self, dev_handle: Any, intf: int) -> None:
@@ -173,7 +158,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def clear_halt(self, dev_handle: Any, ep: int) -> None:
         """Clear a halted endpoint, unless the fault is that it cannot be cleared."""
         self._check()
-        self._model.halted = self._model.has("stall-for-good")
+        self.model.halted = self.model.has("stall-for-good")
 
     def ctrl_transfer(
         self,
@@ -191,8 +176,8 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
             text = self._strings[wValue & 0xFF].encode("utf-16-le")
             return _answer(data, bytes([len(text) + 2, 3]) + text)
         if bmRequestType == protocol.READ and bRequest == protocol.CONFIG:
-            value = self._model.read(wValue, wIndex)
-            if value is not None and len(data) == self._model.generation.value:
+            value = self.model.read(wValue, wIndex)
+            if value is not None and len(data) == self.model.generation.value:
                 return _answer(data, value.to_bytes(len(data), "big"))
         elif bmRequestType == protocol.WRITE and self._obeys(bRequest, wValue, wIndex, bytes(data), timeout):
             self.log.append((bRequest, wValue, wIndex, bytes(data)))
@@ -202,10 +187,10 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def bulk_read(self, dev_handle: Any, ep: int, intf: int, buff: "array[int]", timeout: int) -> int:
         """Read one transfer of event words into the buffer; return the number of bytes."""
         self._check()
-        self._model.halted |= self._model.once("stall") or self._model.has("stall-for-good")
-        if self._model.halted:
+        self.model.halted |= self.model.once("stall") or self.model.has("stall-for-good")
+        if self.model.halted:
             _fail("Pipe error", errno.EPIPE, -9)
-        data = self._model.transfer(len(buff), timeout / 1000)
+        data = self.model.transfer(len(buff), timeout / 1000)
         self._check()
         if not data:
             _fail("Operation timed out", errno.ETIMEDOUT, -7)
@@ -214,7 +199,7 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def intr_read(self, dev_handle: Any, ep: int, intf: int, buff: "array[int]", timeout: int) -> int:
         """Read one packet of the debug endpoint into the buffer; return the number of bytes."""
         self._check()
-        if self._model.once("log"):
+        if self.model.once("log"):
             return _answer(buff, _LOG_PACKET)
         time.sleep(timeout / 1000)
         _fail("Operation timed out", errno.ETIMEDOUT, -7)
@@ -222,21 +207,21 @@ class VirtualDvxplorer(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def _obeys(self, request: int, value: int, index: int, data: bytes, timeout_ms: int) -> bool:
         """Execute a vendor request to write; return False if the camera has no such request."""
         if request == protocol.CONFIG:
-            size = self._model.generation.value
-            return len(data) == size and self._model.write(value, index, int.from_bytes(data, "big"))
-        if self._model.generation is Generation.REGISTERS:
+            size = self.model.generation.value
+            return len(data) == size and self.model.write(value, index, int.from_bytes(data, "big"))
+        if self.model.generation is Generation.REGISTERS:
             return False
         if request == protocol.FLUSH_STALE:
-            if self._model.has("slow-flush"):
+            if self.model.has("slow-flush"):
                 time.sleep(timeout_ms / 1000)
                 _fail("Operation timed out", errno.ETIMEDOUT, -7)
-            self._model.flush_stale()
+            self.model.flush_stale()
         return request in (protocol.FLUSH_STALE, protocol.LOG_LEVEL, STORE_TO_FLASH)
 
     def _check(self) -> None:
         """Raise USBError (no such device) once the plug is pulled."""
-        if self._model.has("unplug"):
-            self._model.power_off()
+        if self.model.has("unplug"):
+            self.model.power_off()
             _fail("No such device (it may have been disconnected)", errno.ENODEV, -4)
 
 

@@ -79,10 +79,12 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
             plant_config = {"obstacle": vars(plant) if plant else None, "position_ticks": position_ticks}
         choice = {
             "plant": plant_config,
-            "faults": [_checked(fault) for fault in faults],
+            "faults": list(faults),
             "registers": {"Baud Rate": baud_code(baud), **(registers or {})},
             "seed": seed,
         }
+        for fault in choice["faults"]:
+            gripper_fault(fault)
         python_path = os.pathsep.join(filter(None, [str(PACKAGE.parent), os.environ.get("PYTHONPATH")]))
         self._process = subprocess.Popen(
             # -P: ignores the working folder, where a user may have a json.py
@@ -105,7 +107,8 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
 
     def inject(self, fault: str) -> None:
         """Let a fault strike at once, or according to the time or probability in its text."""
-        self._ask(inject=_checked(fault))
+        gripper_fault(fault)
+        self._ask(inject=fault)
 
     def faults_struck(self) -> dict[str, int]:
         """Return how often each fault has struck so far, by name; faults that did not strike are missing."""
@@ -151,12 +154,6 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
             words = with_reason("the process of the virtual gripper died", exit_code_words(self._process.returncode))
             raise DeviceError(words, hint="its last messages, if any, are above")
         return json.loads(line)
-
-
-def _checked(fault: str) -> str:
-    """Return the text of a fault; InputError if it does not exist."""
-    gripper_fault(fault)
-    return fault
 
 
 class Faults:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.read.aedat4_packets import FIELDS, KINDS, Header, decoded, read_header, walk
+from evetac_cli.formats.read.aedat4_packets import FIELDS, KINDS, Header, PacketStream, decoded, read_header, walk
 from evetac_cli.formats.read.bags.bag_files import open_bag
 from evetac_cli.formats.read.bags.host_clock import host_clock, on_sensor_clock
 from evetac_cli.formats.read.bags.read_bag_stream import (
@@ -60,8 +60,10 @@ def aedat4_streams(path: Path, *, frames: bool, folder: Path | None, **_: Any) -
     for stream in header.streams:
         if stream.kind not in STREAMS or (stream.kind == "FRME" and not frames):
             continue
-        contents = _Contents(path, header, stream)
-        t_us, *values = joined_on_disk(folder, contents.parts()) or (np.empty(0, np.int64),)
+        unreadable: list[str] = []
+        packets = _packets(path, header, stream, unreadable)
+        parts = _images(packets, unreadable) if stream.kind == "FRME" else _rows(packets, _columns(stream.kind))
+        t_us, *values = joined_on_disk(folder, parts) or (np.empty(0, np.int64),)
         name, what = STREAMS[stream.kind]
         kept_stream = Stream(name, t_us, source=f"{path.name}: {stream.name}", clock=CAMERAS, what=what)
         if len(t_us) and stream.kind == "FRME":
@@ -70,8 +72,8 @@ def aedat4_streams(path: Path, *, frames: bool, folder: Path | None, **_: Any) -
             columns = dict(zip(_columns(stream.kind), values, strict=True))
             units = {column: UNITS.get(column.partition("_")[0], "") for column in columns}
             kept_stream = replace(kept_stream, columns=columns, units=units)
-        if len(t_us) or contents.unreadable:
-            yield Other(_in_order(kept_stream), KINDS[stream.kind], contents.unreadable)
+        if len(t_us) or unreadable:
+            yield Other(_in_order(kept_stream), KINDS[stream.kind], len(unreadable))
 
 
 def bag_streams(
@@ -125,44 +127,33 @@ def _columns(kind: str) -> tuple[str, ...]:
     return (FIELDS[kind].names or ())[1:]
 
 
-class _Contents:
-    """The contents of a stream's packets, part by part; `unreadable` counts packets that could not be read."""
-
-    def __init__(self, path: Path, header: Header, stream: Any) -> None:
-        self._path, self._header, self._stream = path, header, stream
-        self.unreadable = 0
-
-    def parts(self) -> Iterator[tuple[NDArray[Any], ...]]:
-        """Yield times and columns, or times and images."""
-        return self._images() if self._stream.kind == "FRME" else self._rows()
-
-    def _packets(self) -> Iterator[Any]:
-        header, number = self._header, self._stream.number
-        with self._path.open("rb") as handle:
-            spans = walk(handle, header, number).spans
-            for content in decoded(handle, spans, self._stream.kind, header.compression):
-                if isinstance(content, str):
-                    self.unreadable += 1
-                else:
-                    yield content
-
-    def _rows(self) -> Iterator[tuple[NDArray[Any], ...]]:
-        """Yield samples; values that are not finite are NaN."""
-        for rows in self._packets():
-            columns = [rows[name].astype(np.float64) for name in _columns(self._stream.kind)]
-            finite = [np.where(np.isfinite(column), column, np.nan) for column in columns]
-            if len(rows):
-                yield (np.ascontiguousarray(rows["t"]), *finite)
-
-    def _images(self) -> Iterator[tuple[NDArray[Any], ...]]:
-        """Yield frames of 8 bits that have the size of the first one."""
-        first = None
-        for frame in self._packets():
-            image = np.asarray(frame.pixels)
-            channels = CHANNELS.get(frame.format, 0)
-            image = image[:, :, :channels] if image.ndim == 3 else image[:, :, None]
-            first = first or image.shape
-            if image.shape == first and image.dtype == np.uint8 and image.size:
-                yield np.array([frame.t], np.int64), image[None]
+def _packets(path: Path, header: Header, stream: PacketStream, unreadable: list[str]) -> Iterator[Any]:
+    """Yield the contents of a stream's packets; add a text for each that cannot be read to `unreadable`."""
+    with path.open("rb") as handle:
+        for content in decoded(handle, walk(handle, header, stream.number).spans, stream.kind, header.compression):
+            if isinstance(content, str):
+                unreadable.append(content)
             else:
-                self.unreadable += 1
+                yield content
+
+
+def _rows(packets: Iterator[Any], names: tuple[str, ...]) -> Iterator[tuple[NDArray[Any], ...]]:
+    """Yield times and columns of samples; values that are not finite are NaN."""
+    for rows in packets:
+        columns = [rows[name].astype(np.float64) for name in names]
+        finite = [np.where(np.isfinite(column), column, np.nan) for column in columns]
+        if len(rows):
+            yield (np.ascontiguousarray(rows["t"]), *finite)
+
+
+def _images(packets: Iterator[Any], unreadable: list[str]) -> Iterator[tuple[NDArray[Any], ...]]:
+    """Yield time and image of frames of 8 bits that have the size of the first one."""
+    first = None
+    for frame in packets:
+        image = np.asarray(frame.pixels)
+        image = image[:, :, : CHANNELS.get(frame.format, 0)] if image.ndim == 3 else image[:, :, None]
+        first = first or image.shape
+        if image.shape == first and image.dtype == np.uint8 and image.size:
+            yield np.array([frame.t], np.int64), image[None]
+        else:
+            unreadable.append("a frame of another size")

@@ -310,9 +310,6 @@ def read_header(file: CheckedHdf5) -> Header:
         raise SchemaError("its header is not valid", where=str(path), expected="schemas/header.v1.json") from None
     version = re.fullmatch("([0-9]{1,9})[.]([0-9]{1,9})", str(header.get("version")))
     number = (int(version[1]), int(version[2])) if version else None
-    if number and number < (schema.MAJOR, schema.OLDEST_MINOR):
-        message, hint = "written by an earlier version of evetac and cannot be read", "make it again from its recipe"
-        raise InputError(message, where=str(path), found=f"version {header['version']}", hint=hint)
     if number and number[0] > schema.MAJOR:  # checked first: such a header may have another form
         raise InputError("made by a newer evetac", where=str(path), found=f"version {header['version']}")
     wrong = _wrong(header) + ([] if number else ["version"])

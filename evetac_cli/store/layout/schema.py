@@ -36,7 +36,6 @@ from evetac_cli.resources import schemas
 
 KINDS = ("recording", "labels", "tracks", "features", "model", "force-model", "touch", "report")
 MAJOR = 1
-OLDEST_MINOR = 2  # files of version 1.1 and before have other names of datasets and parameters
 
 
 PLAIN = {"i": "int", "u": "uint", "f": "float"}  # kinds of numpy's dtypes

@@ -111,7 +111,7 @@ def test_no_event_is_lost(firmware: int, slices: int) -> None:
         assert lost(camera) == {}
     assert same(events, expected.part(0, events.size))
     assert events.size == 1000 * slices
-    assert device.overflowed == 0
+    assert device.model.overflowed == 0
 
 
 def test_host_time_of_a_slice() -> None:
@@ -254,7 +254,7 @@ def test_stale_words_are_not_ours() -> None:
         device = VirtualDvxplorer(PreparedWords(few(0.2, 500_000), paced=False), firmware=firmware)
         left_running(device)
         words = few(0.2)
-        device._model._source = patient_words(words)
+        device.model._source = patient_words(words)
         with closing(DvxplorerCamera(backend=device)) as camera:
             events = read(camera, 100)
             assert lost(camera) == {}
@@ -263,10 +263,10 @@ def test_stale_words_are_not_ours() -> None:
 
 def left_running(device: VirtualDvxplorer) -> None:
     """As after a program that was killed: the camera's buffer is full."""
-    size = device._model.generation.value
+    size = device.model.generation.value
     module, parameter, value = (1, 3, 1) if size == 8 else (5, 0x3000, 2)
     device.ctrl_transfer(None, 0x40, 0xBF, module, parameter, value.to_bytes(size, "big"), 100)
-    device._model.transfer(4, 0.01)
+    device.model.transfer(4, 0.01)
 
 
 # What goes wrong.
@@ -364,7 +364,7 @@ def test_camera_that_answers_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     with closing(DvxplorerCamera(backend=VirtualDvxplorer(Nothing(), faults=("slow-flush",)))) as camera:
         assert read(camera, 5).size == 0
     device = VirtualDvxplorer(Nothing())
-    device._model.write = lambda *_: (_ for _ in ()).throw(usb.core.USBTimeoutError("Operation timed out", -7, 110))  # type: ignore[method-assign]
+    device.model.write = lambda *_: (_ for _ in ()).throw(usb.core.USBTimeoutError("Operation timed out", -7, 110))  # type: ignore[method-assign]
     with pytest.raises(DeviceTimeout, match="did not answer in time"):
         DvxplorerCamera(backend=device)
 

@@ -187,7 +187,7 @@ def test_overflow_loses_the_oldest() -> None:
     left = [word for word in np.frombuffer(data, "<u4") if word]
     assert left == words[-len(left) :].tolist()
     assert 0 < len(left) <= 1000
-    assert camera.overflowed + len(left) == len(words)
+    assert camera.model.overflowed + len(left) == len(words)
 
 
 def test_odd_transfers_cut_words_but_lose_none(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -217,9 +217,7 @@ def test_tables_are_sound(kind: str) -> None:
     """Assert that a table says its own kind and major version, real dtypes, and only groups that it has."""
     table = json.loads((schemas() / f"{kind}.v{schema.MAJOR}.json").read_text())
     assert table["kind"] == kind
-    major, minor = map(int, table["version"].split("."))
-    assert major == schema.MAJOR
-    assert minor >= schema.OLDEST_MINOR
+    assert table["version"].split(".")[0] == str(schema.MAJOR)
     assert set(table["optional_groups"]) <= {path.split("/")[0] for path in table["datasets"] if "/" in path}
     for path, row in table["datasets"].items():
         assert row["dtype"] == "utf8" or np.dtype(row["dtype"]).name == row["dtype"], path

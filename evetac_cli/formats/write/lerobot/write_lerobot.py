@@ -61,7 +61,9 @@ def write(sources: Sequence[Path], opened: Opener, folder: Path, progress: Progr
 
     Raises InputError if the trials do not fit together, and MissingLibrary if pyarrow or av is not installed.
     """
-    arrow, av = load_pyarrow(str(folder.parent)), _load_av(str(folder.parent))
+    arrow = load_pyarrow(str(folder.parent))
+    with needs_extra("video needs av", "convert", str(folder.parent)):
+        import av
     choices = Choices(**options)
     outlines = []
     for source in sources:
@@ -75,10 +77,10 @@ def write(sources: Sequence[Path], opened: Opener, folder: Path, progress: Progr
     with _video_errors(av, folder), ExitStack() as stack:
         data = stack.enter_context(Tables(arrow, Numbered(folder, DATA_PATH, CHUNK_FILES, DATA_MB)))
         episodes = stack.enter_context(Tables(arrow, Numbered(folder, EPISODES_PATH, CHUNK_FILES, None)))
-        videos = {
-            key: stack.enter_context(_videos(av, folder, key, contents.features[key], choices.fps))
-            for key in (VIDEO, *contents.stream_videos)
-        }
+        videos = {}
+        for key in (VIDEO, *contents.stream_videos):
+            numbered = Numbered(folder, VIDEO_PATH.replace("{video_key}", key), CHUNK_FILES, VIDEO_MB)
+            videos[key] = stack.enter_context(Videos(av, numbered, choices.fps, contents.features[key].shape))
         written = Episodes(arrow, contents, outlines, train, data, episodes, videos)
         for number, one in enumerate(outlines):
             progress(done, slices, "slices")
@@ -193,12 +195,6 @@ class Episodes:
         return total
 
 
-def _load_av(where: str) -> Any:
-    with needs_extra("video needs av", "convert", where):
-        import av
-    return av
-
-
 @contextmanager
 def _video_errors(av: Any, folder: Path) -> Iterator[None]:
     """Turn errors of the video library into InputError; it does not raise OSError when the disk is full."""
@@ -209,11 +205,6 @@ def _video_errors(av: Any, folder: Path) -> Iterator[None]:
         raise InputError(
             "the video could not be written", where=where, found=message, hint="is the disk full?"
         ) from error
-
-
-def _videos(av: Any, folder: Path, key: str, feature: Feature, fps: int) -> Videos:
-    files = Numbered(folder, VIDEO_PATH.replace("{video_key}", key), CHUNK_FILES, VIDEO_MB)
-    return Videos(av, files, fps, feature.shape)
 
 
 def _film(
