@@ -41,7 +41,8 @@ class DvCamera:
         self.where = f"--camera dv{':' + serial if serial else ''}"
         if library is None:
             with needs_extra("dv-processing is not installed", "camera", self.where):
-                import dv_processing as library
+                import dv_processing
+            library = dv_processing
         self._camera: Any = None
         try:
             self._camera = library.io.camera.DVXplorerM(*([serial] if serial else []))

@@ -514,8 +514,8 @@ def test_hdf5_is_read_in_batches(dsec: Callable[..., Path], monkeypatch: pytest.
     ("given", "words"),
     [
         ({"x": np.array([1, 2], np.uint16)}, "columns differ in length"),
-        ({"t": np.array([0.1, 0.2, 0.3])}, "expected: a list of integers in microseconds"),
-        ({"p": np.array([b"+", b"-", b"+"])}, "events/p is not a column"),
+        ({"t": np.array([0.1, 0.2, 0.3])}, "in whole numbers, with times in us"),
+        ({"p": np.array([b"+", b"-", b"+"])}, "`events/p`: |S1"),
     ],
 )
 def test_columns_that_do_not_fit_are_refused(dsec: Callable[..., Path], given: dict[str, Any], words: str) -> None:

@@ -22,7 +22,7 @@ import importlib
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 from xml.etree import ElementTree
 
 import numpy as np
@@ -48,7 +48,7 @@ FIELDS = {
     "IMUS": np.dtype([("t", "<i8"), *((name, "<f4") for name in ("temperature", *AXES))]),
     "TRIG": np.dtype([("t", "<i8"), ("source", "<i1")]),
 }
-FORMATS = {0: ("L", 1), 16: ("RGB", 3), 24: ("RGBA", 4)}  # formats of images: name, and bytes per pixel
+CHANNELS = {0: 1, 16: 3, 24: 4}  # bytes per pixel of the formats of images: grey; blue, green, red; and with opacity
 FRAME_SLOTS, FRAME_PIXELS = (("q", 0), ("b", 5), ("h", 6), ("h", 7)), 10  # t, format, width, height in a frame's table
 
 
@@ -74,29 +74,14 @@ class Header:
     streams: list[PacketStream]
 
 
-class Span(NamedTuple):
-    """A packet's payload: its bytes [start, stop) in the file."""
-
-    start: int
-    stop: int
-
-
 @dataclass(frozen=True)
 class Packets:
     """The complete packets of one stream, and the end of the walk over all packets."""
 
-    spans: list[Span]
+    spans: list[tuple[int, int]]  # the bytes [start, stop) of each packet's payload
     end: int
     whole: bool  # the walk ended at the end of the file's packets, and their table follows, if it was written
     counts: dict[int, int]  # packets of every stream, by its number
-
-
-class ImageFrame(NamedTuple):
-    """An image: its time in us, L, RGB or RGBA, and pixels of shape (rows, columns) or (rows, columns, channels)."""
-
-    t: int
-    format: str
-    pixels: NDArray[np.uint8]
 
 
 def check_libraries(where: str) -> None:
@@ -144,7 +129,7 @@ def walk(handle: BinaryIO, header: Header, number: int) -> Packets:
     size = handle.seek(0, 2)
     stop = header.table if header.table >= 0 else size
     counts = {stream.number: 0 for stream in header.streams}
-    spans: list[Span] = []
+    spans: list[tuple[int, int]] = []
     at = header.size
     while at + 8 <= min(stop, size):
         handle.seek(at)
@@ -153,21 +138,21 @@ def walk(handle: BinaryIO, header: Header, number: int) -> Packets:
             break
         counts[stream] += 1
         if stream == number:
-            spans.append(Span(at + 8, at + 8 + length))
+            spans.append((at + 8, at + 8 + length))
         at += 8 + length
     return Packets(spans, at, whole=at == stop and header.table < size, counts=counts)
 
 
-def decoded(handle: BinaryIO, spans: Iterable[Span], kind: str, compression: int) -> Iterator[Any]:
+def decoded(handle: BinaryIO, spans: Iterable[tuple[int, int]], kind: str, compression: int) -> Iterator[Any]:
     """Yield the content of each packet, or a text on why it cannot be decoded.
 
     Raises InputError if events or samples unpack to more than a file of this size can contain. Images are exempt,
     because a dark image may compress that well.
     """
     size, unpacked = handle.seek(0, 2), 0
-    for span in spans:
-        handle.seek(span.start)
-        payload = handle.read(span.stop - span.start)
+    for start, stop in spans:
+        handle.seek(start)
+        payload = handle.read(stop - start)
         try:
             packet_content = content(kind, compression, payload)
         except ValueError as error:
@@ -180,7 +165,10 @@ def decoded(handle: BinaryIO, spans: Iterable[Span], kind: str, compression: int
 
 
 def content(kind: str, compression: int, payload: bytes) -> Any:
-    """Return the events or samples of a packet as a structured array, or its frame; ValueError if it is damaged."""
+    """Return the events or samples of a packet as a structured array, or time and image of a frame.
+
+    Raises ValueError if the packet is damaged.
+    """
     try:
         body = _decompressed(compression, payload)
         if body[8:12] != kind.encode():
@@ -283,14 +271,13 @@ def _rows(tables: _Tables, start: int, count: int, fields: np.dtype[Any]) -> Any
     return rows
 
 
-def _frame(tables: _Tables, root: int) -> ImageFrame:
+def _frame(tables: _Tables, root: int) -> tuple[int, NDArray[np.uint8]]:
+    """Return the time in us and the pixels (rows, columns, 1 or 3), grey or red, green, blue, of a frame."""
     t, format_, width, height = (tables.field(root, slot, code) for code, slot in FRAME_SLOTS)
-    name, channels = FORMATS.get(format_, ("", 0))
+    channels = CHANNELS.get(format_, 0)
     start, count = tables.vector(root, FRAME_PIXELS)
     if not channels or width < 0 or height < 0 or count != width * height * channels:
         raise ValueError(f"a frame of {width} x {height} px of format {format_} has {count} bytes")
     pixels = np.frombuffer(tables.body, np.uint8, count, start) if count else np.empty(0, np.uint8)
-    if channels == 1:
-        return ImageFrame(t, name, pixels.reshape(height, width))
-    shown = [2, 1, 0, 3][:channels]  # they are stored as blue, green, red
-    return ImageFrame(t, name, np.ascontiguousarray(pixels.reshape(height, width, channels)[:, :, shown]))
+    shown = [0] if channels == 1 else [2, 1, 0]
+    return t, np.ascontiguousarray(pixels.reshape(height, width, channels)[:, :, shown])

@@ -72,7 +72,8 @@ def open_hdf5(
             for name in layout.paths:
                 if not _is_readable(datasets[name], layout, name):
                     found = f"`{name}`: {str(datasets[name].dtype)[:120]} of shape {datasets[name].shape}"
-                    raise InputError("the file has no event columns", where=where, expected=EXPECTED, found=found)
+                    expected = EXPECTED + (", in whole numbers, with times in us" if layout.us_per_unit == 1 else "")
+                    raise InputError("the file has no event columns", where=where, expected=expected, found=found)
             rows = [len(datasets[name]) for name in layout.paths]
             check_lengths(rows * (4 // len(rows)), where)
             clock_us = _t_offset(datasets, where) if layout.name == "DSEC" else 0
@@ -172,7 +173,8 @@ def _is_readable(dataset: Any, layout: Hdf5Layout, name: str) -> bool:
 
     Times are whole numbers, because a layout that documents a unit of time stores no fractions of it.
     """
-    shape, kind = dataset.shape or (), dataset.dtype.kind
+    shape: tuple[int, ...] = dataset.shape or ()
+    kind = dataset.dtype.kind
     if len(layout.paths) == 4:
         is_time_of_unknown_unit = name == layout.paths[0] and layout.us_per_unit is None
         return len(shape) == 1 and kind in ("iuf" if is_time_of_unknown_unit else "iub")

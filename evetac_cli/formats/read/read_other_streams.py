@@ -38,7 +38,6 @@ STREAMS = {
 }
 CAMERAS = "the camera's, same as the events"
 UNITS = {"temperature": "degC", "accelerometer": "g", "gyroscope": "deg/s", "magnetometer": "uT"}
-CHANNELS = {"L": 1, "RGB": 3, "RGBA": 3}  # channels of an image that are kept
 
 
 class Other(NamedTuple):
@@ -147,13 +146,11 @@ def _rows(packets: Iterator[Any], names: tuple[str, ...]) -> Iterator[tuple[NDAr
 
 
 def _images(packets: Iterator[Any], unreadable: list[str]) -> Iterator[tuple[NDArray[Any], ...]]:
-    """Yield time and image of frames of 8 bits that have the size of the first one."""
+    """Yield time and image of frames that have the size of the first one."""
     first = None
-    for frame in packets:
-        image = np.asarray(frame.pixels)
-        image = image[:, :, : CHANNELS.get(frame.format, 0)] if image.ndim == 3 else image[:, :, None]
+    for t_us, image in packets:
         first = first or image.shape
-        if image.shape == first and image.dtype == np.uint8 and image.size:
-            yield np.array([frame.t], np.int64), image[None]
+        if image.shape == first and image.size:
+            yield np.array([t_us], np.int64), image[None]
         else:
             unreadable.append("a frame of another size")

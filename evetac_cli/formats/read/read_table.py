@@ -16,9 +16,8 @@ import csv
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
-from itertools import accumulate
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -263,15 +262,6 @@ def _guess(values: NDArray[Any], length_s: float, where: str, clock: str) -> str
     raise InputError("the unit of time is unclear", where=where, found=f"{clock}: {values[0]}", hint=hint)
 
 
-class Dialect(NamedTuple):
-    """How a CSV file is written; names: one per column, in order."""
-
-    encoding: str
-    separator: str
-    decimal_sign: str
-    names: list[str]
-
-
 def _csv(path: Path, where: str) -> tuple[list[str], list[Any], Batches, list[str]]:
     """Return names and types of the columns, a function that reads some of them in batches, and notes."""
     import pyarrow
@@ -305,8 +295,11 @@ def _csv(path: Path, where: str) -> tuple[list[str], list[Any], Batches, list[st
     return names, types, batches, notes
 
 
-def _dialect(path: Path, where: str) -> Dialect:
-    """Return how the file is written; raise InputError if it is no table, or its first line does not name columns."""
+def _dialect(path: Path, where: str) -> tuple[str, str, str, list[str]]:
+    """Return encoding, separator, decimal sign and names of the columns of a CSV file.
+
+    Raises InputError if it is no table, or if its first line does not name the columns.
+    """
     with open_regular(path) as file:
         sample = file.read(SAMPLE_BYTES)
     encoding = _encoding(sample)
@@ -329,7 +322,7 @@ def _dialect(path: Path, where: str) -> Dialect:
         more = len(_cells(lines[0], separator)) - len(names)
         names = [*names, ""] if more == 1 and lines[0].endswith(separator) else names
         names = names[:-1] if more == -1 and not names[-1].strip() else names
-    return Dialect(encoding, separator, _decimal_sign(lines, separator), names)
+    return encoding, separator, _decimal_sign(lines, separator), names
 
 
 def _decimal_sign(lines: list[str], separator: str) -> str:
@@ -372,23 +365,15 @@ def _parquet(path: Path) -> tuple[list[str], list[Any], Batches, list[str]]:
 
     with parquet.ParquetFile(path) as file:
         schema = file.schema_arrow
-    first = list(accumulate(map(_leaves, schema.types), initial=0))  # index in the file of each column of the schema
 
     def batches(wanted: Sequence[int], where: str) -> Iterator[Any]:
-        columns = [first[at] for at in wanted]
+        columns = [schema.names[at] for at in wanted]
         with parquet.ParquetFile(path) as file:
             _check_size(path, file.metadata, len(columns), where)
-            in_file = sorted(columns)  # so that a batch has this order, whether or not pyarrow keeps another
-            groups = range(file.metadata.num_row_groups)
-            for batch in file.reader.iter_batches(BATCH_ROWS, groups, in_file, use_threads=False):
-                yield batch.select([in_file.index(at) for at in columns])
+            for batch in file.iter_batches(BATCH_ROWS, columns=columns, use_threads=False):
+                yield batch.select(columns)  # in this order: pyarrow keeps that of the file
 
     return list(schema.names), list(schema.types), batches, []
-
-
-def _leaves(kind: Any) -> int:
-    """Return how many columns of the file a column of the schema has; a struct has several."""
-    return sum(_leaves(kind.field(at).type) for at in range(kind.num_fields)) if kind.num_fields else 1
 
 
 def _check_size(path: Path, metadata: Any, columns: int, where: str) -> None:

@@ -232,11 +232,9 @@ def test_damage_costs_no_more_than_the_packets_it_hits(
             data[at:stop] = bytes(byte ^ 0x55 for byte in data[at:stop])
         damaged.write_bytes(data)
         # the eight bytes before a packet lead to the next one: where they are hit, the file ends
-        hit_head = any(at < span.start and stop > span.start - 8 for span in all_packets)
+        hit_head = any(at < begin and stop > begin - 8 for begin, _ in all_packets)
         after = len(raw) if hit_head else stop
-        intact = sum(
-            count for span, count in zip(packets, events, strict=True) if span.stop <= at or span.start > after
-        )
+        intact = sum(count for (begin, end), count in zip(packets, events, strict=True) if end <= at or begin > after)
         if not intact:
             continue
         try:

@@ -108,7 +108,7 @@ def test_damage_costs_the_samples_it_hits(aedat4: Path, tmp_path: Path) -> None:
         number = next(stream.number for stream in header.streams if stream.kind == "IMUS")
         spans = walk(handle, header, number).spans
     span = spans[len(spans) // 2]
-    data[span.start : span.stop] = bytes(span.stop - span.start)
+    data[span[0] : span[1]] = bytes(span[1] - span[0])
     path = tmp_path / "a.aedat4"
     path.write_bytes(data)
     imported = read_events(path)

@@ -93,47 +93,42 @@ def stream_of_topic(bag: Bag, topic: str, folder: Path | None) -> tuple[Stream, 
         stored = columns()
     if not stored:
         raise InputError("the topic has no messages", where=where)
-    times = _Times(*stored[:2])
-    rows = times.rows
+    t_us, clock, rows, notes = _times(*stored[:2])
     if len(rows) == len(stored[0]) and (rows[1:] > rows[:-1]).all():
-        t_us, *values = times.t_us, *stored[2:]
+        values = list(stored[2:])
     else:
         at_once = max(1, BLOCK_VALUES // math.prod(stored[2].shape[1:]))
         some = (rows[first : first + at_once] for first in range(0, len(rows), at_once))
-        moved = (tuple(np.asarray(one[part]) for one in (times.t_us, *stored[2:])) for part in some)
+        moved = (tuple(np.asarray(one[part]) for one in (t_us, *stored[2:])) for part in some)
         t_us, *values = joined_on_disk(folder, moved)
     source, what = f"{bag.path.name}: {topic}", kind.replace("/msg/", "/")
-    stream = Stream("", t_us, what=what, source=source, clock=times.clock, left_out=len(stored[0]) - len(rows))
-    return reader_of.filled(stream, values), [*times.notes, *reader_of.notes()]
+    stream = Stream("", t_us, what=what, source=source, clock=clock, left_out=len(stored[0]) - len(rows))
+    return reader_of.filled(stream, values), [*notes, *reader_of.notes()]
 
 
-class _Times:
-    """The times of samples: their own stamps, or those of reception if no sample has one.
+def _times(
+    stamp_us: NDArray[np.int64], received_us: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], str, NDArray[np.intp], list[str]]:
+    """Return the times of samples (their own stamps, or those of reception if no sample has one) and their clock.
 
-    rows: indexes of the samples that are kept, in order of time.
+    Also the indexes of the samples that are kept, in order of time, and notes.
     """
-
-    def __init__(self, stamp_us: NDArray[np.int64], received_us: NDArray[np.int64]) -> None:
-        self.notes: list[str] = []
-        known = stamp_us != 0
-        if known.any():
-            self.t_us, self.clock = stamp_us, "header.stamp"
-            # the clock of a simulation starts at 0
-            known[0] |= len(known) > 1 and 0 < stamp_us[1] <= SIMULATED_START_US
-            if not known.all():
-                self.notes.append(f"left out {_samples(np.count_nonzero(~known))} whose stamp is 0, so never set")
-        else:
-            self.t_us, self.clock = received_us, RECEPTION
-            known[:] = True
-        rows = np.flatnonzero(known)
-        times = self.t_us[rows]
-        late_us = np.maximum.accumulate(times) - times
-        if late_us.any():
-            most_s = int(late_us.max()) / 1e6
-            self.notes.append(
-                f"{_samples(np.count_nonzero(late_us))} came late, by up to {most_s:.6g} s: sorted by time"
-            )
-        self.rows = rows[np.argsort(times, kind="stable")]
+    notes: list[str] = []
+    known = stamp_us != 0
+    t_us, clock = (stamp_us, "header.stamp") if known.any() else (received_us, RECEPTION)
+    if known.any():
+        known[0] |= len(known) > 1 and 0 < stamp_us[1] <= SIMULATED_START_US  # the clock of a simulation starts at 0
+        if not known.all():
+            notes.append(f"left out {_samples(np.count_nonzero(~known))} whose stamp is 0, so never set")
+    else:
+        known[:] = True
+    rows = np.flatnonzero(known)
+    times = t_us[rows]
+    late_us = np.maximum.accumulate(times) - times
+    if late_us.any():
+        most_s = int(late_us.max()) / 1e6
+        notes.append(f"{_samples(np.count_nonzero(late_us))} came late, by up to {most_s:.6g} s: sorted by time")
+    return t_us, clock, rows[np.argsort(times, kind="stable")], notes
 
 
 def _samples(count: Any) -> str:
