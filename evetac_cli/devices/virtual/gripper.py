@@ -73,18 +73,19 @@ class VirtualGripper(AbstractContextManager["VirtualGripper"]):
         faults: as in naming.py; registers: values that differ from the factory values, by name; seed: for the faults
         that strike at random.
         """
+        all_faults = list(faults)
+        for fault in all_faults:
+            gripper_fault(fault)
         if isinstance(plant, SharedPlant):
             plant_config: dict[str, Any] = {"shared": str(plant.path)}
         else:
             plant_config = {"obstacle": vars(plant) if plant else None, "position_ticks": position_ticks}
         choice = {
             "plant": plant_config,
-            "faults": list(faults),
+            "faults": all_faults,
             "registers": {"Baud Rate": baud_code(baud), **(registers or {})},
             "seed": seed,
         }
-        for fault in choice["faults"]:
-            gripper_fault(fault)
         python_path = os.pathsep.join(filter(None, [str(PACKAGE.parent), os.environ.get("PYTHONPATH")]))
         self._process = subprocess.Popen(
             # -P: ignores the working folder, where a user may have a json.py
