@@ -19,7 +19,7 @@ from evetac_cli.commands import every
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.evaluate import SUBJECTS
-from evetac_cli.formats.read.column_times import UNITS, ColumnTimes
+from evetac_cli.formats.read.columns import UNITS, ColumnTimes
 from evetac_cli.formats.write.lerobot import event_stacks
 from evetac_cli.formats.write.lerobot.contents import Choices
 from evetac_cli.kernels.event_representation import Representation

@@ -11,7 +11,7 @@ imports.py reads them. It recognizes a format by the file's content, not by its 
     text, CSV       read/read_text            `t x y p` per line, or as the first line names them; integers are in us
     pickle          calibration_files         the official software's dot grid, for `calibrate`; holds no events
 
-If a file does not describe its columns, one rule assumes their order and units (read/column_order, read/column_times),
+If a file does not describe its columns, one rule assumes their order and units (read/columns),
 checks that the result is plausible, and reports the assumption. Contents other than events are counted and reported.
 One rule unwraps clocks (read/clock), and one rule handles events out of order (read/time_order).
 

@@ -19,7 +19,7 @@ from evetac_cli.events import SLICE_US, Events, concatenate, empty
 from evetac_cli.formats.read import read_aedat2, read_aedat4, read_hdf5, read_numpy, read_text
 from evetac_cli.formats.read.bags import read_rosbag
 from evetac_cli.formats.read.bags.bag_files import is_bag_folder
-from evetac_cli.formats.read.column_order import assumption
+from evetac_cli.formats.read.columns import assumption
 from evetac_cli.formats.read.damage import reading
 from evetac_cli.formats.read.prophesee import read_prophesee
 from evetac_cli.formats.read.read_other_streams import Other, aedat4_streams, bag_streams

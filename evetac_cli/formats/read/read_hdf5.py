@@ -13,8 +13,14 @@ from typing import Any, NamedTuple
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.note import CLOCK_LIMIT_US, NAME, Note, read_note
-from evetac_cli.formats.read.column_order import by_name, declared_order, declared_unit, places_of, refuse_columns
-from evetac_cli.formats.read.column_times import ColumnTimes
+from evetac_cli.formats.read.columns import (
+    ColumnTimes,
+    by_name,
+    declared_order,
+    declared_unit,
+    places_of,
+    refuse_columns,
+)
 from evetac_cli.formats.read.source import (
     EventColumns,
     EventSource,
@@ -37,7 +43,7 @@ class Hdf5Layout(NamedTuple):
     name: str
     paths: tuple[str, ...]  # columns t, x, y, p, or the one table
     order: str = ""
-    us_per_unit: float | None = 1.0  # None: determined from the numbers (column_times)
+    us_per_unit: float | None = 1.0  # None: determined from the numbers (columns.py)
     stream: str = ""  # name of the camera, if files may have two
 
 

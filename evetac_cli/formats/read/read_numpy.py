@@ -1,7 +1,7 @@
 """Read events from numpy files: `.npy` with a structured array or a table (N, 4), `.npz` with one of these or columns.
 
-    structured    fields t, x, y, p by the names in column_order; written by tonic, expelliarmus and faery
-    (N, 4)        four columns, in the user's order or the first that fits (column_order)
+    structured    fields t, x, y, p by the names in columns.py; written by tonic, expelliarmus and faery
+    (N, 4)        four columns, in the user's order or the first that fits (columns.py)
     columns       arrays t, x, y, p of one length in an npz
 
 numpy.load reads them, a `.npy` as far as it is needed. Objects, which would require loading a pickle, are refused. From
@@ -22,7 +22,8 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.formats.read.column_order import (
+from evetac_cli.formats.read.columns import (
+    ColumnTimes,
     Order,
     by_name,
     declared_order,
@@ -31,7 +32,6 @@ from evetac_cli.formats.read.column_order import (
     places_of,
     refuse_columns,
 )
-from evetac_cli.formats.read.column_times import ColumnTimes
 from evetac_cli.formats.read.damage import read_in_words, refuse_too_much
 from evetac_cli.formats.read.source import (
     EventColumns,

@@ -1,9 +1,9 @@
 """Read events from text: one event per line, columns separated by blanks, commas or semicolons, comments after # or %.
 
 The first line, or a comment before it, may define the order of the columns (`x,y,polarity,timestamp`); columns with
-other names are left out. Otherwise the user defines it, or the first order that fits (column_order). The unit of time
+other names are left out. Otherwise the user defines it, or the first order that fits (columns.py). The unit of time
 is defined by the names (`t_s`, `t_us`) or the user. Otherwise it follows from the first time: an integer is in
-microseconds, a number with a point or exponent in seconds (column_times). Polarity may be True and False, as pandas
+microseconds, a number with a point or exponent in seconds (columns.py). Polarity may be True and False, as pandas
 writes it. The frame is known if the first line has only two numbers (rpg) or names like `x@640,y@480` (faery), or if a
 comment states `%geometry:640,480` (Prophesee).
 """
@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
 from evetac_cli.formats.note import NAME, Note, read_note
-from evetac_cli.formats.read.column_order import (
+from evetac_cli.formats.read.columns import (
     ORDERS,
+    ColumnTimes,
     Order,
     by_name,
     declared_order,
@@ -31,7 +32,6 @@ from evetac_cli.formats.read.column_order import (
     places_of,
     refuse_columns,
 )
-from evetac_cli.formats.read.column_times import ColumnTimes
 from evetac_cli.formats.read.source import EventColumns, EventSource, ImportFormat, choose_frame, no_events
 
 BLOCK_CHARS = 1 << 22  # some 200,000 lines

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.formats.note import CLOCK_LIMIT_US, LONGEST_SLICES, Note
-from evetac_cli.formats.read.column_times import FLAG, ColumnTimes
+from evetac_cli.formats.read.columns import FLAG, ColumnTimes
 from evetac_cli.formats.read.time_order import IN_ORDER, OrderOptions, Placed, TimeOrder
 from evetac_cli.interrupts import leave_if_interrupted
 from evetac_cli.jobs import Progress, silent
