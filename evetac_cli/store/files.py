@@ -14,6 +14,7 @@ import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -55,7 +56,7 @@ class StageFile:
             if recompute_id(self.header) != self.header["id"]:
                 fault = "its header was edited: the recipe id does not fit it"
                 raise SchemaError(fault, where=str(self.path))
-            self._found = self._file.survey()
+            self._found = self._file.survey(partial(netcdf.is_dimension, self.kind))
             self._looked_at: set[str] = set()
             self._passed: set[Rule] = set()
             with damage_in_words(self.path, "its contents"):

@@ -10,7 +10,7 @@ import importlib
 import math
 import os
 import shlex
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
@@ -96,10 +96,11 @@ class CheckedHdf5:
             self.check(name, item)
         return {name: h5py.Dataset(item) for name, item in found.items()}
 
-    def survey(self) -> dict[str, h5d.DatasetID]:
+    def survey(self, is_left: Callable[[str], bool] = lambda path: False) -> dict[str, h5d.DatasetID]:
         """Return every dataset by its path; InputError for links and data in other files, and for too much data.
 
         Dimensions, which have no numbers, are left out.
+        is_left: whether the object at a path is not opened.
         """
         found: dict[str, h5d.DatasetID] = {}
         names: dict[str, bytes] = {}
@@ -116,7 +117,7 @@ class CheckedHdf5:
                 raise self._elsewhere(f"`{linked}` is a link")
             announced = 0
             for name in sorted(names):
-                item = h5o.open(root, names[name])
+                item = None if is_left(name) else h5o.open(root, names[name])
                 if not isinstance(item, h5d.DatasetID):
                     continue
                 if item.get_offset() is None:  # otherwise its bytes are in this file, contiguous

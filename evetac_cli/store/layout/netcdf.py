@@ -12,6 +12,7 @@ length, because h5py returns texts of fixed length as bytes.
 """
 
 import functools
+import re
 from typing import Any
 
 import h5py
@@ -33,6 +34,7 @@ FIXED = {
 }
 BY_SIZE = {2: "xy", 3: "median_p99_most"}
 EDGES = {"slices+1": "slice_edges"}
+ANY_SHAPE = re.compile("size_[0-9]+(_[0-9]+)?")  # dimensions of datasets whose shape the schema leaves open
 
 
 def describe_file(h5: h5py.File, header: Header) -> None:
@@ -70,6 +72,20 @@ def _describe_column(h5: h5py.File, column: Any, group: str, described_in: str) 
     name = column.name.rpartition("/")[2]
     column.attrs["units"] = about.get("units", {}).get(name) or "1"
     column.attrs["long_name"] = f"{name}, {about.get('what') or group.rpartition('/')[2]}"
+
+
+@functools.lru_cache(maxsize=1000)
+def is_dimension(kind: str, path: str) -> bool:
+    """Whether an object at a path can only be a dimension of a file of this kind, and not a dataset."""
+    places = dimension_paths(kind).values()
+    patterns = [re.escape(place).replace(r"\*", "[^/]+") for place in places if "*" in place]
+    is_place = path in places or any(re.fullmatch(pattern, path) for pattern in patterns) or _of_open_shape(kind, path)
+    return is_place and schema.load(kind).find(path) is None
+
+
+def _of_open_shape(kind: str, path: str) -> bool:
+    group, _, name = path.rpartition("/")
+    return group in _open_groups(kind) and ANY_SHAPE.fullmatch(name) is not None
 
 
 @functools.cache
@@ -129,6 +145,12 @@ def _dimensions(kind: str, row: Dataset, path: str, shape: tuple[int, ...]) -> l
     return [
         f"{group}/size_{size}" + (f"_{count + 1}" if count else "") for size, count in zip(shape, before, strict=True)
     ]
+
+
+@functools.cache
+def _open_groups(kind: str) -> frozenset[str]:
+    """Return the groups with datasets whose shape the schema leaves open."""
+    return frozenset(row.path.rpartition("/")[0] for row in schema.load(kind).datasets if row.dims is None)
 
 
 def _new_scale(h5: h5py.File, path: str, length: int) -> Any:

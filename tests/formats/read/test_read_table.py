@@ -96,7 +96,7 @@ def test_a_footer_that_pyarrow_ends_the_program_for(tmp_path: Path) -> None:
 
 
 def test_columns_keep_their_names_and_order(tmp_path: Path) -> None:
-    """Assert that lists, tables, texts and columns of one name beside them do not shift the numbers."""
+    """Assert that lists, tables, texts and names with a point beside them do not shift the numbers."""
     arrays = [
         pa.array([{"a": at, "b": {"c": at}} for at in range(5)]),
         pa.array([float(at) for at in range(5)]),
@@ -106,7 +106,7 @@ def test_columns_keep_their_names_and_order(tmp_path: Path) -> None:
         pa.array([10.0 * at for at in range(5)]),
         pa.array([at % 2 == 0 for at in range(5)]),
     ]
-    names = ["struct", "x", "list", "t_us", "words", "x", "flag"]
+    names = ["struct", "x", "list", "t_us", "words", "list.x", "flag"]
     pq.write_table(pa.Table.from_arrays(arrays, names=names), tmp_path / "a.parquet")
     stream, notes = read_table.read_table(tmp_path / "a.parquet", None)
     assert stream.t_us.tolist() == [0, 1, 2, 3, 4]
@@ -114,7 +114,7 @@ def test_columns_keep_their_names_and_order(tmp_path: Path) -> None:
         "x": [0.0, 1.0, 2.0, 3.0, 4.0],
         "list_0": [0.0, 1.0, 2.0, 3.0, 4.0],
         "list_1": [0.0, 1.0, 2.0, 3.0, 4.0],
-        "x_2": [0.0, 10.0, 20.0, 30.0, 40.0],
+        "list.x": [0.0, 10.0, 20.0, 30.0, 40.0],
         "flag": [1.0, 0.0, 1.0, 0.0, 1.0],
     }
     assert notes == ["left out: columns struct, words, which are not numeric"]

@@ -10,7 +10,7 @@ import pytest
 import xarray
 from numpy.typing import NDArray
 
-from evetac_cli.errors import SchemaError
+from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.inspect import validate
 from evetac_cli.resources import MODEL
@@ -172,11 +172,15 @@ def have_many_names(h5: h5py.File) -> None:
 
 @pytest.mark.parametrize("change", [hold_values, have_many_names])
 def test_damaged_dimensions_are_refused(labels_file: Path, change: Callable[[h5py.File], None]) -> None:
-    """Assert that a file with what lies in the place of a dimension and is none is not opened."""
+    """Assert that what lies in the place of a dimension and is none is never read, and no such file called whole."""
     with h5py.File(labels_file, "r+") as h5:
         change(h5)
-    with pytest.raises(SchemaError, match="slices is not in the schema"):
-        StageFile(labels_file)
+    with StageFile(labels_file) as file:
+        assert not file.has("slices")
+        with pytest.raises(InputError, match="slices is not in this labels"):
+            file.read("slices")
+        with pytest.raises(InputError, match="slices is (not in the schema|incomplete)"):
+            file.check()
     assert validate.run([labels_file]).summary["invalid"] == 1
 
 

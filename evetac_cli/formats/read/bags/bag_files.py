@@ -11,11 +11,12 @@ from collections import Counter
 from collections.abc import Collection, Iterator
 from functools import lru_cache
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path, PurePath
 from tempfile import gettempdir, mkdtemp
 from typing import Any, NamedTuple
 
-from evetac_cli.errors import InputError, needs_extra
+from evetac_cli.errors import InputError, missing_extra
 from evetac_cli.formats.read.bags.bag_readers import BagFile, Connection, Db3File, McapFile, Rosbag1File
 from evetac_cli.formats.read.damage import read_in_words, refuse_too_much, unpacked
 from evetac_cli.store.hdf5.disk import temporary_name
@@ -92,10 +93,13 @@ def _alike(connection: Connection) -> Connection:
 def open_bag(path: Path) -> Bag:
     """Open a bag and read the tables of its files; raise InputError or MissingLibrary if that is not possible."""
     where = str(path)
-    with needs_extra("ROS bags need rosbags and mcap", "convert", where):
-        for name in LIBRARIES:
-            import_module(name)
+    try:
+        missing = [name for name in LIBRARIES if find_spec(name) is None]
         zstd_module()
+    except ImportError as error:
+        missing = [error.name or str(error)]
+    if missing:
+        raise missing_extra("ROS bags need rosbags and mcap", "convert", where=where, found=f"no {missing[0]}")
     with read_in_words(where, "the bag cannot be read"):
         files = _files_of(path)
         return _bag(path, files, tuple(map(_stamps, files.paths)))
