@@ -204,7 +204,6 @@ REFUSED: dict[str, tuple[Callable[[Path], Any], str]] = {
     "an edited header": (header(parameters={"a": 1}), "its header was edited"),
     "an unknown kind": (header(kind="x"), "unknown kind"),
     "a newer version": (header(version="12.3", parents={"new": "form"}, content=...), "made by a newer evetac"),
-    "an older version": (header(version="1.1"), "written by an earlier version"),
     "no label": (label(None), "label"),
     "label of another dtype": (label(np.zeros(SLICES, np.int16)), "label"),
     "label of another length": (label(np.zeros(SLICES - 1, np.int8)), "label"),
