@@ -157,7 +157,6 @@ def features(path: Path, of: tuple[Header, ...]) -> Header:
         "gripper_goal_ma": np.full(SLICES, 60.0, np.float32),
         "sticking_share": np.ones(SLICES, np.float32),
         "truth/visible_slip_share": np.zeros(SLICES, np.float32),
-        "visible_slip_share": np.zeros(SLICES, np.float32),  # in older features
         "label": _label(),
         "onset_slice": np.int64(ONSET),
         "dot_shape": np.array([ROWS, COLUMNS], np.int32),

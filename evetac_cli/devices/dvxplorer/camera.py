@@ -166,8 +166,7 @@ class DvxplorerCamera:
 
     serial: which camera, None for the only one; backend: a pyusb backend, None for libusb.
 
-    queue_bytes: how many bytes may wait for `read`; patience_us: how long after the flush time to wait for a silent
-    camera.
+    queue_bytes: how many bytes may wait for `read`.
 
     DeviceError, with a message, for anything that keeps the camera from running. `notes` are for the user; `messages`
     come from the camera.
@@ -179,7 +178,6 @@ class DvxplorerCamera:
         settings: DvxplorerSettings | None = None,
         backend: Any = None,
         queue_bytes: int = QUEUE_BYTES,
-        patience_us: float = PATIENCE_US,
     ) -> None:
         self.settings = settings or DvxplorerSettings()
         camera = _choose(serial, backend)
@@ -205,7 +203,7 @@ class DvxplorerCamera:
             self.serial = camera.serial or _serial(self._device)
             self._set_up()
             held_us = self.settings.flush_us if self._generation is Generation.PARAMETERS else HOLDING_BACK_US
-            self._slices = WordSlices(held_us + patience_us)
+            self._slices = WordSlices(held_us + PATIENCE_US)
             self._reader.start()
             self._slices.start(self._now_us())  # before RUN, so that no time in its stream is earlier
             self.time.slices_read_until(self.time.now_s())  # from here a virtual camera's time waits for `read`

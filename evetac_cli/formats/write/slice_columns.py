@@ -32,7 +32,6 @@ from evetac_cli.text_files import as_utf8, parse_json
 Masked = np.ma.MaskedArray[Any, Any]
 KINDS = ("recording", "tracks", "labels", "touch", "features")  # of two columns with the same name, the first is kept
 PREFIX = {"touch": "touch_"}
-COPIED = ("visible_slip_share",)  # copied from the truth into features; the truth has its own column
 
 
 class TrialFiles(NamedTuple):
@@ -186,7 +185,7 @@ def _dot_words(files: TrialFiles) -> Callable[[int], str]:
 def _of_file(file: StageFile, dot: Callable[[int], str]) -> Iterator[SliceColumns]:
     stored, table = file.contents(), schema.load(file.kind)
     clocks = {group: file.read(f"{group}/t_us") for group in _clocks(file)}
-    described = [(path, row) for path in stored if (row := table.find(path)) is not None and row.path not in COPIED]
+    described = [(path, row) for path in stored if (row := table.find(path)) is not None]
     order = {row.path: place for place, row in enumerate(table.datasets)}
     for path, row in sorted(described, key=lambda pair: order[pair[1].path]):
         along, *across = row.dims or ("",)

@@ -13,7 +13,7 @@ import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,14 +117,6 @@ class Mark(NamedTuple):
     text: str
 
 
-class _Datasets(Protocol):
-    def has(self, path: str) -> bool:
-        """Whether there is such a dataset."""
-
-    def read(self, path: str) -> Any:
-        """Return a dataset."""
-
-
 def mark_row(t_us: int, text: str) -> Mapping[str, Any]:
     """Return the row of a mark in datasets `marks/...`; ValueError for a text of more than MOST_MARK_BYTES in UTF-8."""
     content = text.encode()
@@ -139,7 +131,7 @@ def marks_in_words(marks: Sequence[Mark]) -> str:
     return "; ".join([*texts, *([f"{len(marks) - SHOWN_MARKS} more"] if len(marks) > SHOWN_MARKS else [])])
 
 
-def marks_of(recording: _Datasets) -> list[Mark]:
+def marks_of(recording: Any) -> list[Mark]:
     """Return the marks of a recording in order of time; none if it has no such group."""
     if not recording.has(MARK_TIME):
         return []
