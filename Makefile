@@ -139,7 +139,8 @@ test: $(ALL)  ## run the test suite; installs missing packages first
 	$(ONE_THREAD) $(BIN)/python -m pytest --numprocesses 3 --dist loadfile -m 'not slow'
 
 test-alone: $(ALL)  ## run the tests that want files from outside the repository, without these
-	EVETAC_OUTSIDE_FILES=/nonexistent $(BIN)/python -m pytest --numprocesses 0 -m 'outside and not slow'
+	EVETAC_OUTSIDE_FILES=/nonexistent $(BIN)/python -m pytest --numprocesses 0 -m 'outside and not slow' \
+		$$(grep -rlw --include='test_*.py' outside_file tests)
 
 test-all: $(ALL)  ## run the test suite with its longer cases
 	@$(COMPILE)

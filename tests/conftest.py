@@ -1,5 +1,7 @@
 """Files of every kind, made by the real stages from the smallest scene and shared by the tests of a session."""
 
+import fcntl
+import gc
 import os
 import shutil
 import signal
@@ -80,6 +82,22 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--gripper", default=None, help="a gripper on this machine, such as /dev/ttyUSB0; it will move")
 
 
+def pytest_collection() -> None:
+    """Look for no garbage among the modules and tests, a million objects that live to the end."""
+    gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """Leave these out of the searches during the tests, each of which would take half a second."""
+    gc.freeze()
+    gc.enable()
+
+
+def pytest_unconfigure() -> None:
+    """Let libraries see at exit that nothing is left of them."""
+    gc.unfreeze()
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests that want files from outside the repository, so that CI can run them where there are none."""
     for item in items:
@@ -137,19 +155,34 @@ def short_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def made(tmp_path_factory: pytest.TempPathFactory, short_scene: Path) -> Made:
-    """Recordings with labels, tracks and features, a model trained on them, and a grasp with that model."""
-    folder = tmp_path_factory.mktemp("made")
+def made(tmp_path_factory: pytest.TempPathFactory, worker_id: str, short_scene: Path) -> Made:
+    """Recordings with labels, tracks and features, a model trained on them, and a grasp with that model.
+
+    The first process that wants the files makes them for all, so tests may only read or copy them.
+    """
+    own = tmp_path_factory.getbasetemp()
+    folder = (own if worker_id == "master" else own.parent) / "made"
     made = Made(folder, short_scene)
-    recipe = Record(scene=str(short_scene), objects="8", count=3)
-    for job in record.jobs([], recipe, folder):
+    with folder.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not made.grasp.exists():
+            _make(made)
+    made.recordings += sorted(folder.glob("short-*.recording.h5"))
+    return made
+
+
+def _make(made: Made) -> None:
+    """Make the files, the grasp last."""
+    recipe = Record(scene=str(made.scene), objects="8", count=3)
+    jobs = record.jobs([], recipe, made.folder)
+    recordings = [job.output for job in jobs]
+    for job in jobs:
         record.run(job, recipe)
-        made.recordings.append(job.output)
     # A trial that is not used for training; its name distinguishes it from the others.
-    alone = Record(scene=str(short_scene), objects="8", seed=77)
-    (job,) = record.jobs([], alone, folder / "apart.recording.h5")
+    alone = Record(scene=str(made.scene), objects="8", seed=77)
+    (job,) = record.jobs([], alone, made.folder / "apart.recording.h5")
     record.run(job, alone)
-    for path in (*made.recordings, job.output):
+    for path in (*recordings, job.output):
         for stage, chosen in (
             (track, Track()),
             (label, Label(after_ms=25)),
@@ -157,17 +190,16 @@ def made(tmp_path_factory: pytest.TempPathFactory, short_scene: Path) -> Made:
         ):
             (job,) = stage.jobs([path], chosen, None)
             stage.run(job, chosen)
-    features = [made.beside(path, "features") for path in made.recordings]
+    features = [made.beside(path, "features") for path in recordings]
     training = Train(epochs=30, max_steps=120, preset="adam", validate=str(features[-1]))
     (job,) = train.jobs(features, training, made.model)
     train.run(job, training)
     fitting = TrainForce(samples=10, epochs=2)
-    (job,) = train_force.jobs([made.beside(path, "tracks") for path in made.recordings], fitting, made.force_model)
+    (job,) = train_force.jobs([made.beside(path, "tracks") for path in recordings], fitting, made.force_model)
     train_force.run(job, fitting)
     grasping = Grasp(controller="paper", model=made.model, lift_s=1.0, balance_s=0.2, node_pitch_mm=1.45)
     (job,) = grasp.jobs([], grasping, made.grasp)
     grasp.run(job, grasping)
-    return made
 
 
 @pytest.fixture(scope="session")

@@ -14,9 +14,10 @@ from evetac_cli.sim.camera.camera_input import SliceMotion
 from evetac_cli.sim.camera.scanning import camera
 from evetac_cli.store.files import StageFile, header_of
 from tests.make import answer_of, evetac
+from tests.quick import slow
 
-FRAMES = [(346, 260), (320, 320), (480, 640)]
-LARGE = [(640, 480), (1280, 720)]  # slow, because they take 17 s, and the other tests have 640 x 480
+FRAMES = [(346, 260), (260, 346)]
+LARGER = [(320, 320), (480, 640), (640, 480), (1280, 720)]
 RADIUS_PX, BORDER_PX, WINDOW_PX = 10.0, 18, 60  # the last column's rims come as near as 4 px to the border
 SLICES, MOVES, SLIPS, FAR_PX = 560, 200, 400, 4.0  # the dots move by FAR_PX from MOVES to SLIPS
 TEXTURE = 500.0  # events per pixel of the object's motion, in the window
@@ -59,7 +60,7 @@ def write_events(path: Path, frame_px: tuple[int, int], dots: NDArray[np.float64
 
 @pytest.mark.parametrize(
     "frame_px",
-    [*FRAMES, *(pytest.param(each, marks=pytest.mark.slow) for each in LARGE)],
+    [*FRAMES, *(slow((frame_px,)) for frame_px in LARGER)],
     ids=lambda frame: "{} x {}".format(*frame),
 )
 def test_any_frame(tmp_path: Path, frame_px: tuple[int, int]) -> None:

@@ -119,13 +119,12 @@ def test_live_features_are_those_of_the_files(made: Made, model_path: Path, cuts
     np.testing.assert_array_equal(np.isnan(offline), np.arange(slices) < detector.architecture.history - 1)
 
 
-def test_a_grasp_can_be_replayed_offline(made: Made) -> None:
+def test_a_grasp_can_be_replayed_offline(made: Made, tmp_path: Path) -> None:
     """Assert that a grasp's probabilities and decisions are those of track, featurize and model on its recording."""
-    folder = made.folder / "replayed"
-    (job,) = track.jobs([made.grasp], Track(), folder)
+    (job,) = track.jobs([made.grasp], Track(), tmp_path)
     track.run(job, Track())
     chosen = Featurize(tracks=job.output)
-    (job,) = featurize.jobs([made.grasp], chosen, folder)
+    (job,) = featurize.jobs([made.grasp], chosen, tmp_path)
     featurize.run(job, chosen)
     with StageFile(made.model) as model, StageFile(job.output) as features, open_recording(made.grasp) as recording:
         detector = load_detector(model)

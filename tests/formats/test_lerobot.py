@@ -20,6 +20,7 @@ from evetac_cli.inspect.export import trial_files
 from evetac_cli.kernels.event_representation import event_image
 from evetac_cli.store.recordings.read import Recording
 from tests.formats.trials import write_grasp
+from tests.quick import few
 from tests.small_files import DOTS, SLICES
 
 av = pytest.importorskip("av")
@@ -181,7 +182,7 @@ def test_what_is_not_known_holds_its_last_value() -> None:
     assert episodes.last_known(values).tolist() == [[0, 1], [2, 1], [2, 1], [5, 7]]
 
 
-@pytest.mark.parametrize("count", [2, 5, pytest.param(20, marks=pytest.mark.slow)])  # as 5, and takes 10 s
+@pytest.mark.parametrize("count", few([2, 5, 20], 2))
 def test_statistics_of_the_training_episodes_are_numpys(
     count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

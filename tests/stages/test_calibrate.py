@@ -1,5 +1,6 @@
 """The dot grid from a press recording: whole, cut, in part, over a default, and from files of the official software."""
 
+import itertools
 import json
 import tomllib
 from collections.abc import Callable
@@ -191,7 +192,7 @@ WORN = {  # dots of a closed gel that do not show, and how many of its rows and 
 }
 
 
-@pytest.mark.parametrize("which", few(WORN, "first column", "last column", "four dots of the first column"))
+@pytest.mark.parametrize("which", few(WORN, "first column", "four dots of the first column"))
 def test_worn_dots_do_not_make_a_window(seen: Show, truth: Grid, which: str) -> None:
     """Assert that a closed gel with a worn border is never taken for a cut one, and is whole if called closed."""
     part, missing, gone = WORN[which]
@@ -218,8 +219,10 @@ MOUNTED = {  # a picture, its window at 540 0 640 480 and its dots, as a sensor 
 }
 
 
-@pytest.mark.parametrize("cut", [False, True], ids=["closed", "cut"])
-@pytest.mark.parametrize("how", few(MOUNTED, "turned by 180 degrees", "turned by 90 degrees"))
+@pytest.mark.parametrize(
+    ("how", "cut"),
+    few(itertools.product(MOUNTED, (False, True)), ("turned by 180 degrees", False), ("turned by 90 degrees", True)),
+)
 def test_a_sensor_that_is_mounted_otherwise(
     how: str, cut: bool, halves: tuple[RestImage, RestImage], tmp_path: Path, truth: Grid, monkeypatch: Any
 ) -> None:
@@ -262,7 +265,6 @@ def test_the_size_that_is_said(seen: Show, truth: Grid) -> None:
     for rows, columns, words in (
         (6, 4, "more rows of dots"),
         (7, 3, "more columns of dots"),
-        (4, 7, "more rows of dots"),
         (7, 5, "the dots do not show which column is missing"),
         (8, 9, "more than 25% of them are missing|the dots do not show which"),
     ):
@@ -274,10 +276,13 @@ def test_the_size_that_is_said(seen: Show, truth: Grid) -> None:
     assert not made.exists()
 
 
-@pytest.mark.parametrize("part", [X < 300, X > 300, Y < 240, X > 90], ids=["left", "right", "upper", "no first"])
-def test_half_a_gel_is_refused(seen: Show, part: NDArray[np.bool_]) -> None:
+PARTS = {"left": X < 300, "right": X > 300, "upper": Y < 240, "no first": X > 90}
+
+
+@pytest.mark.parametrize("part", few(PARTS, "upper", "no first"))
+def test_half_a_gel_is_refused(seen: Show, part: str) -> None:
     """Assert that a gel of which a part was not pressed is not taken for a whole one, nor a lost first column."""
-    path = seen(part)
+    path = seen(PARTS[part])
     with pytest.raises(InputError, match="press on the whole gel"):
         calibrated(path)
     assert not path.with_suffix(".json").exists()

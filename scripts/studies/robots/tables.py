@@ -1,4 +1,4 @@
-"""The tables of docs/robot-simulators.md: the cost of a step of the touch sensor, and the results of the examples."""
+"""The tables of touch in robot simulators: the cost of a step of the touch sensor, and the results of the examples."""
 
 import json
 import statistics

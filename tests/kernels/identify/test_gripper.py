@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.kernels.identify import gripper
+from tests.quick import few
 
 
 def commands(delay_ms: float, jitter_ms: float, seed: int = 0, count: int = 400) -> tuple[np.ndarray, ...]:
@@ -40,7 +41,7 @@ def test_commands_that_others_follow_at_once_do_not_count() -> None:
             gripper.delay_and_jitter(between)
 
 
-@pytest.mark.parametrize("noise_ticks", [0.15, 0.4, 0.7, 1.5])
+@pytest.mark.parametrize("noise_ticks", few([0.15, 0.4, 0.7, 1.5], 0.15, 1.5))
 def test_encoder_noise(noise_ticks: float) -> None:
     """Assert the noise of readings at eight places, and at one, where it is less sure."""
     rng = np.random.default_rng(1)

@@ -45,7 +45,7 @@ def test_a_strip_in_closed_form(monkeypatch: pytest.MonkeyPatch) -> None:
     assert moved[np.abs(y) < half_m].min() > 0.95
 
 
-@pytest.mark.parametrize("strip_mm", [(3.0, 3.0, 0.0), (5.0, 2.0, 1.0), (2.0, 4.0, -1.0)])
+@pytest.mark.parametrize("strip_mm", [(5.0, 2.0, 1.0), (2.0, 4.0, -1.0)])
 def test_held_again(strip_mm: tuple[float, float, float]) -> None:
     """Assert that displacement and stiffness come back from what dots show of a strip, with noise of 2 %."""
     one = held_gel.Pad(contact.pad_nodes(36, 27, (-10e-3, 10e-3), (-7.5e-3, 7.5e-3)), HEIGHT_M)

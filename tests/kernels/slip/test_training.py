@@ -186,10 +186,10 @@ def test_an_interrupted_run_goes_on_to_the_same_result(
     problem: SlipSamples, preset: training.Preset, after: int
 ) -> None:
     """Assert that a run broken off and taken up again ends with the same checkpoints and curve, bit for bit."""
-    whole = training.train(problem, preset, np.random.default_rng(20), max_steps=140)
-    saved = run_and_stop(problem, preset, after, 140)
+    whole = training.train(problem, preset, np.random.default_rng(20), max_steps=after + 40)
+    saved = run_and_stop(problem, preset, after, after + 40)
     assert all(array.dtype != object for array in saved.values())
-    resumed = training.train(problem, preset, np.random.default_rng(20), max_steps=140, resume_from=saved)
+    resumed = training.train(problem, preset, np.random.default_rng(20), max_steps=after + 40, resume_from=saved)
     assert [one.step for one in resumed.checkpoints] == [one.step for one in whole.checkpoints]
     for one, other in zip(resumed.checkpoints, whole.checkpoints, strict=True):
         assert one.weights.keys() == other.weights.keys()

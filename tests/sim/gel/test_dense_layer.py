@@ -11,6 +11,7 @@ from evetac_cli.kernels.gel_layer import SPRING, compliance
 from evetac_cli.sim.gel import gel
 from evetac_cli.sim.gel.contact import pad_nodes
 from evetac_cli.sim.gel.sheet import SheetStencil, pull_sheet, relax_sheet
+from tests.quick import few
 from tests.sim.gel.dense_layer import dense_layer, simulate, simulate_dense
 
 COARSE = replace(draw_trial(0), columns=12, rows=9)
@@ -33,7 +34,7 @@ def test_first_order_while_slipping():
             assert slope(steps_us, [error[column] for error in errors]) >= 0.9
 
 
-@pytest.mark.parametrize(("theta", "least"), [(1.0, 0.9), (0.51, 0.9), (0.5, 1.8)])
+@pytest.mark.parametrize(("theta", "least"), few([(1.0, 0.9), (0.51, 0.9), (0.5, 1.8)], (1.0, 0.9), (0.5, 1.8)))
 def test_order_in_a_smooth_phase(theta, least):
     """Assert the slopes where everything sticks, by object and gel: 0.9 for theta 1 and 0.51, 1.8 for theta 0.5."""
     reference = simulate(STICK, 2.5e-6, 0.5, tolerance=1e-10)
@@ -96,7 +97,7 @@ def wide_pad():
     return gel.start(nodes, gel.GelMaterial(), 0.1, 1e-5)
 
 
-@pytest.mark.parametrize("wavelength_m", [8e-3, 12e-3, 20e-3])
+@pytest.mark.parametrize("wavelength_m", few([8e-3, 12e-3, 20e-3], 8e-3))
 def test_the_exact_layer_answers_waves(wavelength_m):
     """Assert that order 2 answers waves of shear and pressure as the closed form does, in the middle of a large pad.
 

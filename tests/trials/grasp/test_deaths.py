@@ -115,8 +115,14 @@ def started(fault: str, *, opens: bool = True) -> tuple[Any, MessageReader, list
     return process, MessageReader(slices), [orders, ended, words]
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.parametrize("opens", few([True, False], True), ids=["reading", "opening"])
+@pytest.mark.parametrize(
+    ("fault", "opens"),
+    few(
+        itertools.product(FAULTS, (True, False)),
+        *((fault, True) for fault in ("EOFError", "SystemExit: 0", "Local: 1 and 2", "KeyError: 'gel'")),
+        ("the process of the virtual world died", False),
+    ),
+)
 def test_the_detector_says_what_ended_it(fault: str, opens: bool) -> None:
     """Assert that whatever its camera raises, the ends of pipes and of programs too, comes as an error in words."""
     process, inbox, kept = started(fault, opens=opens)
@@ -162,8 +168,14 @@ DEATHS = {
 }
 
 
-@pytest.mark.parametrize("how", DEATHS)
-@pytest.mark.parametrize("part", ["detector", "controller"])
+@pytest.mark.parametrize(
+    ("part", "how"),
+    few(
+        itertools.product(("detector", "controller"), DEATHS),
+        *(("detector", how) for how in DEATHS),
+        ("controller", "kill"),
+    ),
+)
 def test_the_recorder_tells_a_death_with_its_reason(part: str, how: str) -> None:
     """Assert that signal, exit code and last error stand behind `died`, for both processes."""
     words = ErrorText()
