@@ -45,8 +45,6 @@ def jobs(files: list[Path], params: Calibrate, out: Path | None) -> list[Job]:
     if params.source is None and not files:
         raise InputError("no recording is given", expected="a press recording, or --import FILE")
     sources = [params.source] if params.source is not None else files
-    if out is not None and out.suffix == ".h5":
-        raise InputError("a calibration is a JSON file", where="--out", expected="NAME.json", found=str(out))
     one_file(sources, out, ".json")
     return [Job((file,), output_in(out, file.parent, f"{stem(file)}.{OUTPUT}.json", ".json")) for file in sources]
 

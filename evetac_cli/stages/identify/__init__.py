@@ -39,8 +39,6 @@ def jobs(files: list[Path], params: Identify, out: Path | None) -> list[Job]:
         raise InputError("not the name of one sensor", where="--like", expected=expected, found=params.like)
     plan.one_sensor(params.like)
     sensor_file.check_name(params.name, "--name")
-    if out is not None and out.suffix in (".h5", ".json"):
-        raise InputError("a sensor is a TOML file", where="--out", expected="a name that ends in .toml", found=str(out))
     name = f"{stem(files[0])}.{OUTPUT}.toml"
     return [Job(tuple(files), output_in(out, files[0].parent, name, sensor_file.SUFFIX))]
 
