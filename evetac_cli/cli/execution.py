@@ -156,10 +156,11 @@ def _check_outputs(jobs: list[Job], files: list[Path], params: Any, *, force: bo
     """Refuse outputs that would replace each other, or (with --force) their own inputs."""
     for job in jobs:
         require_possible_name(job.output)
-    times = Counter(job.output for job in jobs)
+    times = Counter(path for job in jobs for path in job.outputs)
     clash = sorted(output for output, count in times.items() if count > 1)
     if clash:
-        raise InputError("several inputs would write the same output", found=", ".join(map(str, clash)))
+        expected, found = "a folder, and inputs of different names", ", ".join(map(str, clash))
+        raise InputError("one output file cannot hold several results", where="--out", expected=expected, found=found)
     path_values = (value for value in vars(params).values() if isinstance(value, Path))
     inputs = {path.resolve() for path in (*files, *path_values, *(path for job in jobs for path in job.inputs))}
     lost = sorted(output for output in times if output.resolve() in inputs) if force else []

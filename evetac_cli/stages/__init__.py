@@ -5,11 +5,9 @@ A stage has OUTPUT (a kind of file), METHOD (raised when its numbers change) and
 `record` and `grasp` are stages too; their jobs are trials (evetac_cli/trials/).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job
 
 BLOCK_ROWS = 1000  # rows in memory at a time, so that memory does not grow with the length of a recording
@@ -19,7 +17,6 @@ def per_file(files: list[Path], kind: str, out: Path | None) -> list[Job]:
     """Return a job for every input file, with its output next to it, in the folder `out`, or (one input) at `out`."""
     from evetac_cli.store.files import output_path
 
-    one_file(files, out)
     return [Job((file,), output_path(file, kind, out)) for file in files]
 
 
@@ -33,12 +30,3 @@ def row_blocks(rows: int, most: int | None = None) -> Iterator[tuple[int, int]]:
     most = most or BLOCK_ROWS
     for first in range(0, max(rows, 1), most):
         yield first, min(first + most, rows)
-
-
-def one_file(outputs: Sequence[Any], out: Path | None, suffix: str = ".h5") -> None:
-    """Raise InputError for `-o NAME.h5` if there are several outputs."""
-    if out is not None and out.suffix == suffix and len(outputs) > 1:
-        expected = f"a folder for {len(outputs)} files"
-        raise InputError(
-            "one output file cannot hold several results", where="--out", expected=expected, found=str(out)
-        )

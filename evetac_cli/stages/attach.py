@@ -18,7 +18,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.formats.streams import aligned, on_clock_of_events, read_stream
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
-from evetac_cli.stages import one_file, output_in
+from evetac_cli.stages import output_in
 from evetac_cli.store.files import stem, up_to_date, write_stage
 from evetac_cli.store.hdf5.disk import existing_folder
 from evetac_cli.store.layout import rules
@@ -39,7 +39,6 @@ def jobs(files: list[Path], params: Attach, out: Path | None) -> list[Job]:
         raise InputError("no such stream", where="--offset", expected=", ".join(sources), found=unknown[0])
     if not sources:
         raise InputError("no stream to add", where="--stream", expected="NAME=FILE, e.g. arm=pose.csv")
-    one_file(files, out)
     return [Job((file,), output_in(out, file.parent, f"{stem(file)}-streams.{OUTPUT}.h5")) for file in files]
 
 

@@ -22,7 +22,7 @@ from evetac_cli.kernels.calibration import gel_layout, grid
 from evetac_cli.kernels.calibration.gel_layout import Grid
 from evetac_cli.sim.setup import sensor_file
 from evetac_cli.sim.setup.plan import one_sensor
-from evetac_cli.stages import calibrated_gel, one_file, output_in
+from evetac_cli.stages import calibrated_gel, output_in
 from evetac_cli.stages.calibrated_gel import FoundDots
 from evetac_cli.store.calibration import Calibration, read_calibration, read_quality, up_to_date, write_calibration
 from evetac_cli.store.files import stem
@@ -45,7 +45,6 @@ def jobs(files: list[Path], params: Calibrate, out: Path | None) -> list[Job]:
     if params.source is None and not files:
         raise InputError("no recording is given", expected="a press recording, or --import FILE")
     sources = [params.source] if params.source is not None else files
-    one_file(sources, out, ".json")
     return [Job((file,), output_in(out, file.parent, f"{stem(file)}.{OUTPUT}.json", ".json")) for file in sources]
 
 

@@ -22,7 +22,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.slip.architectures import GEL_PX
-from evetac_cli.stages import one_file, row_blocks
+from evetac_cli.stages import row_blocks
 from evetac_cli.stages.model_files import TRUE_SLIP_SHARE
 from evetac_cli.stages.related_files import check_made_from, no_truth
 from evetac_cli.store.files import StageFile, output_path, up_to_date, write_stage
@@ -37,7 +37,6 @@ COLUMNS = ("displacement_px", "displacement_xy_px", "events_per_dot", "events_ou
 
 def jobs(files: list[Path], params: Featurize, out: Path | None) -> list[Job]:
     """Return a job for every recording, from its tracks and, if present, its labels."""
-    one_file(files, out)
     single_files = [path for path in (params.tracks, params.labels) if path and not path.is_dir()]
     if len(files) > 1 and single_files:
         found = f"{single_files[0]} and {len(files)} recordings"

@@ -24,7 +24,7 @@ from evetac_cli.commands.trim import Trim
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US, Events
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
-from evetac_cli.stages import one_file, output_in, row_blocks
+from evetac_cli.stages import output_in, row_blocks
 from evetac_cli.store.files import stem, up_to_date, write_stage
 from evetac_cli.store.layout import schema
 from evetac_cli.store.layout.provenance import Recipe
@@ -46,7 +46,6 @@ def jobs(files: list[Path], params: Trim, out: Path | None) -> list[Job]:
         raise InputError("the piece ends before it begins", where="--to-ms", expected=expected, found=f"{params.to_ms}")
     if params.support_ms is not None and not params.denoise:
         raise InputError("has no effect", where="--support-ms", expected="--denoise", found="none")
-    one_file(files, out)
     to = "end" if params.to_ms is None else f"{params.to_ms}"
     whole = params.denoise and not params.from_ms and params.to_ms is None
     called = ("" if whole else f"-{params.from_ms}-{to}ms") + ("-denoised" if params.denoise else "")

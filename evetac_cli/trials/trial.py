@@ -21,7 +21,6 @@ from evetac_cli.names import Capability
 from evetac_cli.sim.setup.object_file import seed_of
 from evetac_cli.sim.setup.plan import Plan, plans, with_second
 from evetac_cli.sim.setup.scene import Solver
-from evetac_cli.stages import one_file
 from evetac_cli.store.recordings import slip_grid
 from evetac_cli.store.recordings.segments import refuse_leftover
 from evetac_cli.store.recordings.slip_grid import FEWEST_NODES, resolving_mm
@@ -160,7 +159,6 @@ def simulated_trials(
             trials.append(
                 SimulatedTrial((), outputs[0], number, params.seed, plan, view=view, second_output=second_output)
             )
-    one_file([path for trial in trials for path in trial.outputs], out)
     return trials
 
 
@@ -200,7 +198,6 @@ def device_trials(
     else:
         numbered = [(number, None) for number in range(params.count)]
         outputs = [_camera_files(cameras, params.seed, number, out, prefix) for number in range(params.count)]
-        one_file([path for files in outputs for path in files], out)
     inputs = tuple(path for camera in cameras for path in camera.files)
     taken = tuple(path for files in outputs for path in files if _is_taken(path))
     return [

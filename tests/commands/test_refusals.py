@@ -5,7 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
+from evetac_cli.cli.main import app
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.predict_touch import PredictTouch
 from evetac_cli.commands.record import Record
@@ -169,6 +171,22 @@ def test_predict_touch(flags: dict[str, Any], flag: str) -> None:
     """Assert that a flag of what a model or no sensor knows is refused by name, before files are read."""
     with pytest.raises(InputError, match=flag):
         predict_touch.jobs(TRACKS, PredictTouch(**flags), None)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "record --count 2 -o a.recording.h5",
+        "record --camera dvxplorer:A,dvxplorer:B -o a.recording.h5",
+        "trim a.recording.h5 b.recording.h5 --to-ms 5 -o c.recording.h5",
+        "label a.recording.h5 b.recording.h5 --review -o c.labels.h5",
+        "label a/a.recording.h5 b/a.recording.h5 -o c",
+    ],
+)
+def test_one_file_holds_one_result(words: str) -> None:
+    """Assert that an output that several results would have is refused before anything is read."""
+    result = CliRunner().invoke(app, words.split())
+    assert result.exit_code == 2 and "one output file cannot hold several results" in result.stderr
 
 
 @pytest.mark.parametrize("flags", OF_A_SOURCE)

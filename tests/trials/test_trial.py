@@ -10,7 +10,6 @@ import pytest
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.record import Record
 from evetac_cli.devices import cameras, grippers
-from evetac_cli.errors import InputError
 from evetac_cli.sim.setup.scene import Solver
 from evetac_cli.trials import grasp, record
 from evetac_cli.trials import trial as trials
@@ -73,13 +72,6 @@ def test_files_of_several_cameras(tmp_path: Path) -> None:
     assert names == [[f"dvxplorer-{place}-s0-00{trial}.recording.h5" for place in (1, 2)] for trial in (0, 1)]
     assert all(trial.series == (trials[0].outputs, trials[1].outputs) for trial in trials)
     assert [path.name for path in trials[0].taken] == ["dvxplorer-2-s0-001.recording.h5"]
-
-
-def test_one_file_holds_one_trial() -> None:
-    """Assert that `-o NAME.h5` is refused where several trials or cameras would write it."""
-    for params in (Record(camera="dvxplorer", count=2), Record(camera="dvxplorer:A,dvxplorer:B")):
-        with pytest.raises(InputError, match="one output file cannot hold several"):
-            record.jobs([], params, Path("a.recording.h5"))
 
 
 @pytest.mark.parametrize(("nodes", "warned"), [(6.0, False), (2.5, True)])

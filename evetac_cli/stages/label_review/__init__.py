@@ -12,7 +12,6 @@ from pathlib import Path
 from evetac_cli.commands.label import Label
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Job, Outcome
-from evetac_cli.stages import one_file
 from evetac_cli.store.files import output_path
 from evetac_cli.store.recordings.read import open_recording
 
@@ -32,7 +31,6 @@ class ReviewJob(Job):
 
 def jobs(files: Sequence[Path], out: Path | None) -> list[ReviewJob]:
     """Return one job for all recordings."""
-    one_file(files, out)
     labels = tuple(output_path(file, "labels", out) for file in files)
     return [ReviewJob(tuple(files), labels[0], labels)] if labels else []
 

@@ -36,7 +36,7 @@ from evetac_cli.kernels.slip.architectures import (
 )
 from evetac_cli.resources import model_file
 from evetac_cli.sim.setup.plan import numbers
-from evetac_cli.stages import one_file, output_in
+from evetac_cli.stages import output_in
 from evetac_cli.stages.model_files import (
     TRUE_SLIP_SHARE,
     USELESS_HINT,
@@ -110,7 +110,6 @@ def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
         expected, found = "at least two features files", f"{len(files)}, all used for validation"
         raise InputError("no file is left to train on", expected=expected, found=found, hint=made_by("features"))
     settings, _ = _settings(params)
-    one_file(range(params.seeds), out)
     trainings = []
     for seed in range(params.seed, params.seed + params.seeds):
         horizon_ms = f"-{settings.horizon_ms}ms" if settings.horizon_ms else ""
