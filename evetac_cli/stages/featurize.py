@@ -37,10 +37,6 @@ COLUMNS = ("displacement_px", "displacement_xy_px", "events_per_dot", "events_ou
 
 def jobs(files: list[Path], params: Featurize, out: Path | None) -> list[Job]:
     """Return a job for every recording, from its tracks and, if present, its labels."""
-    single_files = [path for path in (params.tracks, params.labels) if path and not path.is_dir()]
-    if len(files) > 1 and single_files:
-        found = f"{single_files[0]} and {len(files)} recordings"
-        raise InputError("one file cannot belong to several recordings", where="--tracks, --labels", found=found)
     new_jobs = []
     for file in files:
         tracks = output_path(file, "tracks", params.tracks)

@@ -41,9 +41,6 @@ CLOCKS = {"commands": "gripper/t_us", "control_steps": "control/t_us", "marks": 
 
 def jobs(files: list[Path], params: Trim, out: Path | None) -> list[Job]:
     """Return a job for every recording, with output <name>-<from>-<to>ms, or <name>-denoised for all slices."""
-    if params.to_ms is not None and params.to_ms <= params.from_ms:
-        expected = f"more than --from-ms {params.from_ms}"
-        raise InputError("the piece ends before it begins", where="--to-ms", expected=expected, found=f"{params.to_ms}")
     if params.support_ms is not None and not params.denoise:
         raise InputError("has no effect", where="--support-ms", expected="--denoise", found="none")
     to = "end" if params.to_ms is None else f"{params.to_ms}"

@@ -127,7 +127,6 @@ PREDICT_TOUCH: list[tuple[dict[str, Any], str]] = [
     ({"stiffness_error": 0.2}, "--stiffness-error"),
     ({**OWN, "print_depth_mm": 0.5}, "--print-depth-mm"),
     ({**OWN, "sensor": "evetac"}, "--sensor"),
-    ({"print_depth_mm": 5.0}, "--print-depth-mm"),
 ]
 # Flags of `record` that have an effect together.
 OF_A_SOURCE: list[dict[str, Any]] = [

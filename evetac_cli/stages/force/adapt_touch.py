@@ -27,7 +27,7 @@ from evetac_cli.kernels.force import gel_forces
 from evetac_cli.kernels.force.gel_forces import KnownForces
 from evetac_cli.stages import output_in
 from evetac_cli.stages.related_files import recording_with_truth
-from evetac_cli.stages.touch import known_gel, predict_touch
+from evetac_cli.stages.touch import known_gel
 from evetac_cli.stages.touch.known_gel import GelShape, GelWeights
 from evetac_cli.store.files import StageFile, stem, up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Recipe
@@ -96,8 +96,6 @@ def _from_table(path: Path, slices: int) -> Readings:
     slices: length of the recording, within which all readings must be.
     """
     text = read_text(path, MOST_BYTES).removeprefix("\ufeff")  # written by Excel
-    if "\0" in text:
-        raise InputError("not a table of forces: it contains bytes of value 0", where=str(path))
     try:
         lines = list(csv.reader(text.splitlines()))
     except csv.Error as error:
@@ -135,7 +133,6 @@ def _from_table(path: Path, slices: int) -> Readings:
 
 def job(files: list[Path], params: TrainForce, out: Path | None) -> Job:
     """Return the job of one model from all tracks files: `own.force-model.h5` next to the first."""
-    predict_touch.check_depth(params.print_depth_mm, params.height_mm)
     return Job(tuple(files), output_in(out, files[0].parent, f"own.{OUTPUT}.h5"))
 
 

@@ -21,7 +21,6 @@ from evetac_cli.kernels.touch.dot_motion import ENDLESS_MM, GelLayer
 from evetac_cli.sim.setup import sensor_file
 from evetac_cli.sim.setup.plan import one_sensor
 from evetac_cli.sim.setup.sensor import GelCreep, Sensor
-from evetac_cli.sim.setup.sensor_file import FOR_EACH_TRIAL
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.text_files import read_toml
@@ -114,9 +113,6 @@ def known_of(sensor: str | None) -> KnownGel:
     """Return the values of a gel from `--sensor`: from a file only the keys that it sets, from a named sensor all."""
     if sensor is None:
         return KnownGel()
-    if sensor in FOR_EACH_TRIAL:
-        expected = "one sensor, e.g. evetac or randomized:7, or its file"
-        raise InputError("selects many sensors, not one", where="--sensor", expected=expected, found=sensor)
     if not sensor.endswith(sensor_file.SUFFIX):
         return _values_of(one_sensor(sensor), KnownGel._fields)
     _, own = sensor_file.read(Path(sensor), one_sensor)

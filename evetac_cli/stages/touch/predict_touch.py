@@ -30,16 +30,8 @@ def jobs(files: list[Path], params: PredictTouch, out: Path | None) -> list[Job]
     has = [TouchOption.OF_NO_MODEL] if params.model is None else []
     has += [] if params.sensor is None else [TouchOption.SENSOR]
     refuse_unused(params, has, "--model" if params.model is not None else "no --sensor", never=[TouchOption.TOUCH])
-    check_depth(params.print_depth_mm, params.height_mm)
     of_model = () if params.model is None else (params.model,)
     return [Job((*job.inputs, *of_model), job.output) for job in per_file(files, OUTPUT, out)]
-
-
-def check_depth(print_depth_mm: float, height_mm: float) -> None:
-    """Raise InputError for dots that would be below the gel."""
-    if print_depth_mm >= height_mm:
-        expected, found = f"less than the thickness of the gel, {height_mm:g} mm", f"{print_depth_mm:g} mm"
-        raise InputError("dots below the gel", where="--print-depth-mm", expected=expected, found=found)
 
 
 def run(job: Job, params: PredictTouch, *, force: bool = False, progress: Progress = silent) -> Outcome:

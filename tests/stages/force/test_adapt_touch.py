@@ -157,7 +157,7 @@ def test_what_cannot_be_adapted(own: list[Path], tmp_path: Path) -> None:
         ("t_s,shear_x_n,shear_y_n,normal_n\n9.4,1,2,3", "outside the recording"),
         ("t_s,shear_x_n,shear_y_n,normal_n\n0.3,,,\n", "no reading"),
         ("t_s,shear_x_n,shear_y_n,normal_n\n0.01,1,,\n", "no reading during a contact"),
-        ("t_s,shear_x_n,shear_y_n,normal_n\n0.3,1,2,\0", "bytes of value 0"),
+        ("t_s,shear_x_n,shear_y_n,normal_n\n0.3,1,2,\0", "not a reading"),
         pytest.param("t_s,shear_x_n,shear_y_n,normal_n\n0.3,1,2," + "1" * 200_000, "field larger", id="large field"),
     ],
 )

@@ -173,9 +173,9 @@ def test_the_scale_of_another_frame_has_to_be_known(tmp_path: Path) -> None:
 def test_what_cannot_be_told(pressed: Path, tmp_path: Path) -> None:
     """Assert that a print below the gel, three dots, and many sensors at once are refused in words."""
     for chosen, message in (
-        (PredictTouch(print_depth_mm=4.0), "dots below the gel"),
-        (PredictTouch(print_depth_mm=1.0, height_mm=0.5), "dots below the gel"),
-        (PredictTouch(sensor="randomized"), "selects many sensors"),
+        (PredictTouch(print_depth_mm=4.0), "print_depth_mm: expected 0 to below 4 mm"),
+        (PredictTouch(print_depth_mm=1.0, height_mm=0.5), "print_depth_mm: expected 0 to below 0.5 mm"),
+        (PredictTouch(sensor="randomized"), "randomized:NUMBER"),
     ):
         with pytest.raises(InputError, match=message):
             run_valid(predict_touch, [pressed], chosen, tmp_path / "refused.h5")
