@@ -14,11 +14,9 @@ more weight for nearer dots. Where no dot is near (next to a cut gel, between lo
 """
 
 import math
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from evetac_cli.arrays import Flags, Floats, Singles
 from evetac_cli.kernels.calibration import grid
@@ -66,7 +64,7 @@ ALARM, PATIENCE = 0.85, 3
 
 
 class StickingNetwork(NamedTuple):
-    """Weights as (in, out), and the standard deviation of the estimated sticking share over its value.
+    """Contiguous weights as (in, out), and the standard deviation of the estimated sticking share over its value.
 
     The last layer returns log odds: of the share that slips, and that slip has begun.
     """
@@ -78,20 +76,6 @@ class StickingNetwork(NamedTuple):
     third: Singles
     third_bias: Singles
     share_sd: Singles  # at evenly spaced shares from 0 to 1
-
-    @classmethod
-    def of_arrays(cls, arrays: Mapping[str, NDArray[np.generic]]) -> "StickingNetwork":
-        """Return the network of named arrays; ValueError if arrays are missing or invalid."""
-        missing = sorted(set(cls._fields) - set(arrays))
-        if missing:
-            raise ValueError(f"expected an array {missing[0]}, found {sorted(arrays)}")
-        network = cls(**{name: np.ascontiguousarray(arrays[name], np.float32) for name in cls._fields})
-        wide, narrow, points = len(network.first_bias), len(network.second_bias), max(len(network.share_sd), 2)
-        expected = ((INPUTS, wide), (wide,), (wide, narrow), (narrow,), (narrow, 2), (2,), (points,))
-        for name, array, shape in zip(cls._fields, network, expected, strict=True):
-            if array.shape != shape or not np.isfinite(array).all():
-                raise ValueError(f"{name}: expected finite numbers {shape}, found {array.shape}")
-        return network
 
 
 class StickingReading(NamedTuple):

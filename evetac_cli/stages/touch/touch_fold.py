@@ -11,9 +11,7 @@ give identical bits. The network is loaded from a file of named arrays, which co
 
 import functools
 import math
-import zipfile
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,17 +35,8 @@ from evetac_cli.store.files import StageFile
 @functools.cache
 def shipped_network() -> StickingNetwork:
     """Return the pretrained network."""
-    return read_network(STICKING_MODEL)
-
-
-def read_network(path: Path) -> StickingNetwork:
-    """Read a network from a file of named arrays (.npz); InputError if it contains none."""
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            return StickingNetwork.of_arrays({name: arrays[name] for name in arrays.files})
-    except (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
-        expected, found = "named arrays (.npz) as written by scripts/studies/sticking/train.py", str(error)
-        raise InputError("not a sticking-share network", where=str(path), expected=expected, found=found) from None
+    with np.load(STICKING_MODEL, allow_pickle=False) as arrays:
+        return StickingNetwork(**{name: arrays[name] for name in StickingNetwork._fields})
 
 
 class StickingShare:
