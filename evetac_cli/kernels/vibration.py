@@ -33,7 +33,6 @@ from numpy.typing import NDArray
 from scipy import fft, special
 
 from evetac_cli.arrays import Floats, Singles
-from evetac_cli.errors import check_range
 from evetac_cli.kernels.compiled import njit
 
 FINEST_HZ = 5000  # scan rate of the camera
@@ -125,8 +124,7 @@ class Finding(NamedTuple):
 
 def spectrum(tally: Tally, rate_hz: float) -> Spectrum:
     """Return the sum of the cells' spectra over one window of signed events, `tally` (cells, bins) at `rate_hz`."""
-    assert tally.ndim == 2 and tally.shape[1] >= 4 * NOISE_BINS
-    check_range("rate_hz", rate_hz, above=True)
+    assert tally.ndim == 2 and tally.shape[1] >= 4 * NOISE_BINS and rate_hz > 0.0
     bins = tally.shape[1]
     window = _hann(bins)
     frequency_hz = np.arange(bins // 2 + 1) * (rate_hz / bins)
@@ -181,8 +179,7 @@ def find(sums: Spectrum, lowest_hz: float, highest_hz: float, false_alarms: floa
     terms as cells, with the probability divided by the number of frequencies (Bonferroni). The tone is the line with
     the largest product of displacement and speed. If that line is above the band, there is no tone, but `above_band`.
     """
-    assert 0.0 < lowest_hz < highest_hz < math.inf
-    check_range("false_alarms", false_alarms, 0.0, 1.0, above=True, below=True)
+    assert 0.0 < lowest_hz < highest_hz < math.inf and 0.0 < false_alarms < 1.0
     lines = list(_lines(sums, lowest_hz, false_alarms))
     if not lines:
         return Finding(None, {}, None)

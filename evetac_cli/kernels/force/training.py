@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from torch import nn
 
 from evetac_cli.arrays import Floats
-from evetac_cli.errors import check_range
 from evetac_cli.kernels.force.models import DenseLayer, Network, check_samples
 
 HIDDEN = (128, 128)  # units of the hidden layers (paper)
@@ -55,7 +54,6 @@ def train(
     """
     check_samples(moved_px, force_n)
     check_samples(held_out_moved_px, held_out_force_n)
-    check_range("epochs", epochs, 1)
     scale_px, scale_n = (float(np.sqrt(np.mean(values**2))) for values in (moved_px, force_n))
     if scale_px == 0 or scale_n == 0:
         raise ValueError(f"expected dots that move and forces, found {scale_px} px and {scale_n} N (rms)")

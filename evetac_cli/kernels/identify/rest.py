@@ -85,11 +85,9 @@ def analyse(
     """Estimate the noise from events of `duration_us`, in order of time, t from 0; `rng` is for bootstrap intervals.
 
     Shares have Wilson intervals. Rates have exact intervals, or those of their spread over blocks of time if these are
-    wider. ValueError if so many pixels are busy that something must move, or if the recording is empty.
+    wider. ValueError if so many pixels are busy that something must move.
     """
     width, height = frame_px
-    if duration_us <= 0:
-        raise ValueError("expected a recording longer than 0 s, found an empty one")
     duration_s = duration_us * 1e-6
     pixel = y.astype(np.int64) * width + x
     counts = np.bincount(pixel, minlength=width * height)

@@ -126,11 +126,10 @@ def start(
 ) -> StickingState:
     """Start with dots at rest (dots, 2) in mm from the middle of the image, NaN for a missing one.
 
-    network: for example the pretrained one (stages/touch/touch_fold.py). ValueError for impossible dots.
+    network: for example the pretrained one (stages/touch/touch_fold.py). LEAST_DOTS must be there.
     """
     rest_mm = np.asarray(rest_mm, np.float64)
-    if rest_mm.ndim != 2 or rest_mm.shape[1] != 2 or np.isfinite(rest_mm).all(axis=1).sum() < LEAST_DOTS:
-        raise ValueError(f"rest_mm: expected (dots, 2) with at least {LEAST_DOTS} present dots, found {rest_mm.shape}")
+    assert rest_mm.shape[1:] == (2,) and np.isfinite(rest_mm).all(axis=1).sum() >= LEAST_DOTS
     return StickingState(rest_mm, network, noise)
 
 

@@ -130,9 +130,3 @@ def test_a_network_is_what_its_weights_say() -> None:
     odds = np.maximum(wide @ one.second + one.second_bias, 0) @ one.third + one.third_bias
     assert sticking.slip_estimate(one, inputs) == pytest.approx(1 / (1 + np.exp(-np.clip(odds, -30, 30))), abs=1e-5)
     assert all(0.0 <= said <= 1.0 for said in sticking.slip_estimate(one, np.full(INPUTS, 1e30, np.float32)))
-
-
-def test_too_few_dots_are_refused() -> None:
-    """Assert that fewer dots than a field needs are refused."""
-    with pytest.raises(ValueError, match="rest_mm: expected"):
-        sticking.start(np.zeros((3, 2)), network())

@@ -402,34 +402,16 @@ def test_lost_dots_are_flagged() -> None:
 @pytest.mark.parametrize(
     "constants",
     [
-        {"radius_px": 0.0},
-        {"radius_px": np.nan},
-        {"radius_px": 1000.0},
-        {"ring_inner_px": -1.0},
-        {"ring_inner_px": 20.0},
-        {"ring_outer_px": np.inf},
-        {"count_radius_px": 0.0},
         {"step_size": 0.0},
         {"step_size": np.inf},
         {"regulariser_weight": -1e-9},
         {"regulariser_weight": np.nan},
         {"min_events": -1},
         {"min_events": 2.5},
-        {"gradient_clip": 0.0},
-        {"rest_slices": -1},
-        {"slices_per_step": 0},
-        {"slices_per_step": 2, "fit": True},
-        {"rest_slices": 0.5},
-        {"sweeps": 0},
-        {"trust_px": np.inf},
-        {"rim_lag_px": -0.1},
-        {"event_px": 2.0},
-        {"most_events": 0.0},
-        {"radius_px": 14.0, "fit": True},
     ],
 )
 def test_impossible_constants_are_refused(constants: dict[str, float]) -> None:
-    """Assert that a constant out of range is refused by name, with what was expected and found."""
+    """Assert that a constant of a user out of range is refused by name, with what was expected and found."""
     with pytest.raises(ValueError, match=f"{next(iter(constants))}: expected .* found"):
         TrackerConstants(**constants)  # type: ignore[arg-type]
 
