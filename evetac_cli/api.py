@@ -492,14 +492,10 @@ def _known_dots(gel: _HasGel, preset: str) -> tuple[NDArray[np.float64], presets
     if gel.dot_xy_px is None or gel.dot_radius_px is None:
         hint = "evetac calibrate finds them; evetac record --calibration stores them with a recording"
         raise InputError("the positions of this gel's dots are unknown", where=where, hint=hint)
-    try:
-        dots = np.asarray(gel.dot_xy_px, np.float64)
-    except (TypeError, ValueError):
-        dots = np.empty(0)
+    dots = np.asarray(gel.dot_xy_px, np.float64)
     if dots.ndim not in (2, 3) or dots.shape[-1] != 2 or dots.size == 0:
-        shape = f"shape {np.shape(dots)}" if dots.size else "not an array of numbers"
-        expected = "(rows, columns, 2), or (dots, 2): x and y of each dot"
-        raise InputError("not dot positions", where=f"{where}: dot_xy_px", expected=expected, found=shape)
+        expected, found = "(rows, columns, 2), or (dots, 2): x and y of each dot", f"shape {dots.shape}"
+        raise InputError("not dot positions", where=f"{where}: dot_xy_px", expected=expected, found=found)
     return dots, presets.PRESETS[preset].for_dots(gel.dot_radius_px)
 
 

@@ -229,7 +229,6 @@ def test_all_63_dots_of_a_closed_gel_are_a_list_too() -> None:
         (NINE_BY_SEVEN[:, :7].reshape(-1, 2), "7 rows x 8 columns of dots.*found 7 rows x 7 columns"),
         (NINE_BY_SEVEN.reshape(-1, 2).T, "not dot positions(.|\n)*found:    shape \\(2, 63\\)"),
         (NINE_BY_SEVEN.reshape(-1), "found:    shape \\(126,\\)"),
-        ([[1.0, 2.0], [3.0]], "not an array of numbers"),
     ],
 )
 def test_dots_that_a_detector_cannot_take_are_refused_in_true_words(dots: Any, said: str) -> None:

@@ -84,8 +84,6 @@ def _coerce(value: Any, hint: Any, where: str) -> Any:
     wanted = [option for option in (typing.get_args(hint) or (hint,)) if option is not type(None)]
     for option in wanted:
         if option is Path and isinstance(value, str):
-            if "\0" in value:
-                raise InputError("not a valid file name", where=where, found=repr(value))
             return Path(value)
         if option is float and type(value) is int and abs(value) < sys.float_info.max:
             return float(value)

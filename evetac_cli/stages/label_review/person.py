@@ -14,7 +14,6 @@ from evetac_cli.store.recordings.read import Recording, ramp_start
 
 METHOD = 1  # raised when the labels written for the same verdict change
 CANNOT_TELL = "the person who reviewed it could not decide"
-LONGEST_NAME = 100
 
 
 class Verdict(NamedTuple):
@@ -30,17 +29,11 @@ class Verdict(NamedTuple):
 
 
 def name_of(by: str) -> str:
-    """Return the name of the person: the given one, or the login name; InputError if there is none or it is invalid."""
-    name = by.strip()
-    if not name:
-        try:
-            name = getpass.getuser()
-        except (KeyError, OSError, ImportError):  # no such user on this system
-            raise InputError("there is no login name", where="--by", expected="a name") from None
-    if len(name) > LONGEST_NAME or not name.isprintable():
-        expected = f"up to {LONGEST_NAME} printable characters"
-        raise InputError("not a valid name", where="--by", expected=expected, found=name[:20])
-    return name
+    """Return the name of the person: the given one, or the login name; InputError if there is none."""
+    try:
+        return by.strip() or getpass.getuser()
+    except (KeyError, OSError, ImportError):  # no such user on this system
+        raise InputError("there is no login name", where="--by", expected="a name") from None
 
 
 def keep(recording: Recording, labels: Path, verdict: Verdict, by: str, after_ms: int) -> dict[str, Any]:
