@@ -112,15 +112,11 @@ def _from_table(path: Path, slices: int) -> Readings:
             row = [float(entry) if entry.strip() else np.nan for entry in line]
         except ValueError:
             row = []
-        if len(row) != len(COLUMNS) or np.isinf(row).any() or np.isnan(row[0]) or np.nanmax(np.abs(row)) > LARGEST_N:
-            expected = f"four finite numbers of at most {LARGEST_N:g}, with forces left empty if not measured"
-            written = ",".join(line)[:80]
-            raise InputError("not a reading", where=f"{path}, line {number}", expected=expected, found=written)
-        if not 0 <= row[0] * SLICES_PER_S < slices:
-            written = f"{row[0]:g} s"
-            expected = f"a time within the recording, 0 to {slices / SLICES_PER_S:g} s"
-            where = f"{path}, line {number}"
-            raise InputError("a reading outside the recording", where=where, expected=expected, found=written)
+        is_within = len(row) == len(COLUMNS) and 0 <= row[0] * SLICES_PER_S < slices
+        if not is_within or np.nanmax(np.abs(row)) > LARGEST_N:
+            expected = f"t_s of the recording, 0 to {slices / SLICES_PER_S:g}, and forces of at most {LARGEST_N:g} N"
+            where, written = f"{path}, line {number}", ",".join(line)[:80]
+            raise InputError("not a reading", where=where, expected=expected, found=written)
         rows.append(row)
     values = np.array(rows).reshape(-1, len(COLUMNS))
     values = values[np.isfinite(values[:, 1:]).any(axis=1)]
