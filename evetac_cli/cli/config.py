@@ -6,7 +6,6 @@ value.
 """
 
 import dataclasses
-import math
 import sys
 import typing
 from collections.abc import Mapping
@@ -111,8 +110,6 @@ def _check(item: "dataclasses.Field[Any]", value: Any) -> None:
             found=str(value),
             hint=did_you_mean(str(value), choices),
         )
-    if isinstance(value, float) and not math.isfinite(value):
-        raise InputError("not a finite number", where=where, expected=f"a number{unit}", found=str(value))
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         low, high = about["low"], about["high"]
         least, most = -MOST if low is None else low, MOST if high is None else high
