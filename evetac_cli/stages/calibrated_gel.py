@@ -41,14 +41,12 @@ class FoundDots(NamedTuple):
 
 
 def check_options(params: Calibrate) -> None:
-    """Raise InputError for flags that contradict each other, exceed limits, or have no effect."""
+    """Raise InputError for flags that contradict each other or have no effect."""
     size = "--rows, --columns"
     if (params.rows is None) != (params.columns is None):
         raise InputError("must be used together", where=size, expected="both, or neither")
     if params.rows is not None and params.irregular:
         raise InputError("dots without a grid have no rows and columns", where="--irregular", found=size)
-    if params.rows is not None and params.columns is not None and params.rows * params.columns > grid.MOST_DOTS:
-        raise _too_many(size, params.rows * params.columns)
     of_sensor = params.source is not None and params.source.suffix == sensor_file.SUFFIX
     has = [OF_SENSOR] if of_sensor else [FOUND] if params.refine is None else []
     refuse_unused(params, has, f"--import {params.source}" if of_sensor else "--refine")
@@ -61,8 +59,6 @@ def arranged(seen: FoundDots, params: Calibrate) -> tuple[Grid, Window | None]:
     """
     gel = params.gel or seen.gel
     if params.irregular:
-        if len(seen.places_px) > grid.MOST_DOTS:
-            raise _too_many(seen.where, len(seen.places_px))
         dots = grid.one_row(seen.places_px)
         if grid.pitch(dots) == 0.0:
             raise InputError("several dots are at the same position", where=seen.where)
@@ -178,11 +174,6 @@ def _another_gel(dots: Grid, seen: FoundDots, why: str, expected: str, gel: str 
     as_it_is = f"--rows {rows} --columns {columns}{f' --gel {gel}' if gel else ''} if the gel has no more dots"
     hint = "; ".join(filter(None, (seen.remedy, as_it_is, CLOSED, REFINE)))
     return InputError(why, where=seen.where, expected=expected, found=_in_words(dots), hint=hint)
-
-
-def _too_many(where: str, count: int) -> InputError:
-    expected = f"at most {grid.MOST_DOTS}, the limit of the tracker"
-    return InputError("too many dots", where=where, expected=expected, found=str(count))
 
 
 def _in_words(dots: Grid) -> str:

@@ -476,7 +476,6 @@ def test_command_line(tmp_path: Path) -> None:
         (["nowhere.recording.h5"], "no such file"),
         (["a.recording.h5", "--rows", "6"], "expected: both, or neither"),
         (["a.recording.h5", "--columns", "6"], "expected: both, or neither"),
-        (["a.recording.h5", "--rows", "16", "--columns", "17"], "at most 256"),
         (["a.recording.h5", "--rows", "1", "--columns", "17"], "expected: 2 to 128"),
         (["a.recording.h5", "--rows", "6", "--columns", "9", "--irregular"], "have no rows and columns"),
         (["a.recording.h5", "--refine", "b.json", "--gel", "cut"], "leave out --gel"),
