@@ -67,12 +67,11 @@ def fit(picture: RestImage, centre_xy_px: Floats, radius_px: float) -> DotCentre
     """Fit dots near expected positions, (n, 2), and a common radius; NaN for a dot that is not visible.
 
     A dot is rejected if its centre is more than 0.6 radii from the expected position. It is also rejected if its radius
-    differs by more than a fifth from the others', or if more than a quarter of its rim is hidden. ValueError if nothing
+    differs by more than a fifth from the others', or if more than a quarter of its rim is hidden. Something must have
     moved in the picture.
     """
     events = contrast(picture)
-    if events == 0.0:
-        raise ValueError(f"expected at least {LEAST_PIXELS} pixels with {LEAST_CONTRAST:g} events, found fewer")
+    assert events > 0.0
     fitted = np.array([_fit_one(picture, events, place, radius_px) for place in centre_xy_px]).reshape(-1, 3)
     usual = np.median(fitted[np.isfinite(fitted[:, 2]), 2]) if np.isfinite(fitted[:, 2]).any() else np.nan
     fitted[~(np.abs(fitted[:, 2] - usual) <= 0.2 * usual)] = np.nan

@@ -27,7 +27,6 @@ Reasons:
   beginning is therefore raised to the power `trust`, which makes its intervals wide enough.
 """
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -215,8 +214,7 @@ def label(
     dragged along but the window showed nothing, or if the dots cannot be followed.
     """
     dots = np.ascontiguousarray(dot_xy_px[np.isfinite(dot_xy_px).all(axis=1)], np.float64)
-    if not len(dots) or not 0.0 < dot_radius_px < math.inf:
-        raise ValueError(f"dots: expected some with a radius > 0, found {len(dots)} of radius {dot_radius_px}")
+    assert len(dots)
     quiet = _quiet_pixels(between, slices, window)
     window_events = np.zeros(slices + 1, np.int64)
     leading = [0.0]

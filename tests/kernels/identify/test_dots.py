@@ -73,10 +73,7 @@ def test_another_contrast_is_another_shape() -> None:
 
 
 def test_dots_that_do_not_show() -> None:
-    """Assert that a picture in which nothing moved is refused, and that a place without a dot has none."""
-    nothing = np.zeros((200, 280), np.uint8)
-    with pytest.raises(ValueError, match="moved"):
-        dots.fit_rims(dots.Runs(RestImage(nothing, nothing), RestImage(nothing, nothing)), CENTRES, 15.0, LOG_CONTRAST)
+    """Assert that a place without a dot has none."""
     away = np.array([[70.0, 70.0], [-200.0, 50.0], [900.0, 900.0]])
     fitted, _ = dots.fit_rims(shown(15.0, 1.2), away, 15.0, LOG_CONTRAST)
     assert np.isnan(fitted.radius_px).all() and np.isnan(fitted.inside_on).all()
