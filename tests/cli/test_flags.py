@@ -48,8 +48,11 @@ def test_what_most_people_need_fits_a_screen() -> None:
 
 
 @pytest.mark.parametrize(("path", "command"), COMMANDS, ids=IDS)
-def test_help_is_without_noise_and_has_examples(path: list[str], command: Command) -> None:
-    """Assert that no switch has a type or its `--no-`, no line is too wide, and examples have flags of this command."""
+def test_help_is_without_noise_and_has_examples(path: list[str], command: Command, tmp_path: Path) -> None:
+    """Assert that no switch has a type or its `--no-`, no line is too wide, and examples have flags of this command.
+
+    It speaks of the files in a folder where these are taken, and only there.
+    """
     text = evetac(*path, "--help").stdout
     assert "<bool>" not in text
     assert "--no-" not in text.replace("--no-FLAG", "")
@@ -60,6 +63,13 @@ def test_help_is_without_noise_and_has_examples(path: list[str], command: Comman
         assert example in " ".join(text.split())
         for flag in re.findall(r"(?<!\S)--?[a-z][\w-]*", example):
             assert re.search(rf"[│ ]{flag} ", text[text.index("╭") :]), (example, flag)
+    text = " ".join(text.replace("│", " ").split())
+    sentence = f"For a folder, all {command.kind} files in it are used."
+    assert (sentence in text) == bool(command.files and command.kind)
+    if sentence in text:
+        place = ["model"] if path == ["evaluate", "cost"] else []  # what comes before the files
+        refused = evetac(*path, *place, str(tmp_path))
+        assert f"*.{command.kind}.h5" in refused.stderr
 
 
 @pytest.mark.parametrize(
@@ -92,18 +102,6 @@ def test_quiet_commands_print_nothing(words: list[str], made: Made, tmp_path: Pa
     assert missing.exit_code == 2
     assert missing.stdout == ""
     assert missing.stderr.startswith("error: ") or words == ["validate"]
-
-
-@pytest.mark.parametrize(("path", "command"), COMMANDS, ids=IDS)
-def test_help_says_of_folders_what_is_done_with_them(path: list[str], command: Command, tmp_path: Path) -> None:
-    """Assert that help speaks of the files in a folder where these are taken, and only there."""
-    sentence = f"For a folder, all {command.kind} files in it are used."
-    text = " ".join(evetac(*path, "--help").stdout.replace("│", " ").split())
-    assert (sentence in text) == bool(command.files and command.kind)
-    if sentence in text:
-        place = ["model"] if path == ["evaluate", "cost"] else []  # what comes before the files
-        refused = evetac(*path, *place, str(tmp_path))
-        assert f"*.{command.kind}.h5" in refused.stderr
 
 
 @pytest.mark.parametrize("words", IDS)

@@ -107,7 +107,7 @@ def test_drift_is_smooth_and_stays_in_range(seed: int) -> None:
     assert spans.min() >= 1.0 and spans.max() <= 3.0
 
 
-@pytest.mark.parametrize(("hz", "motion_px"), [(100, 0.4), (333.3, 0.2), (2500, 0.1)])
+@pytest.mark.parametrize(("hz", "motion_px"), few([(100, 0.4), (333.3, 0.2), (2500, 0.1)], (333.3, 0.2)))
 def test_dots_move_as_far_as_the_table_says(hz: float, motion_px: float, tmp_path: Path) -> None:
     """Assert that a pure tone is a sine at its frequency with the table's amplitude (rms over the dots), no jumps."""
     name = changed(tmp_path, {"tone_s": 10.0}, dot_motion_px=[motion_px] * 5, amplitude_factor=[1.0, 1.0], **PURE)

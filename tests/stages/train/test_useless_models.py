@@ -98,8 +98,7 @@ def test_whoever_reads_it_is_told(natural_first_try: tuple[list[str], Path], mad
     ("changed", "why"),
     [
         ({}, ""),
-        ({"threshold": 0.0}, "at its threshold, 0, it calls every slice"),
-        ({"threshold": 0.0, "validation__detected_share": 0.5}, "it calls every slice"),
+        ({"threshold": 0.0, "validation__detected_share": 0.5}, "at its threshold, 0, it calls every slice"),
         ({"threshold": 0.025, "validation__detected_share": 1.0}, "at its threshold, 0.025, it calls every slice"),
         ({"threshold": 1.0, "validation__detected_share": 0.0}, "at its threshold, 1, it calls no slice"),
         ({"validation__detected_share": 0.003}, ""),
