@@ -292,12 +292,6 @@ def _labels(file: StageFile) -> dict[str, Any]:
     }
 
 
-def _onset_ms(file: StageFile) -> int | None:
-    """Return the onset of slip; None if there is none, which files store as -1."""
-    onset = int(file.read("onset_slice"))
-    return None if onset < 0 else onset
-
-
 def _tracks(file: StageFile) -> dict[str, Any]:
     dots = file.read("dot_xy_px")
     moved = np.linalg.norm(dots - file.read("sensor/dot_xy_px").reshape(1, -1, 2), axis=2)
@@ -312,13 +306,14 @@ def _tracks(file: StageFile) -> dict[str, Any]:
 
 def _features(file: StageFile) -> dict[str, Any]:
     rows, columns = file.read("dot_shape").tolist()
+    onset = int(file.read("onset_slice")) if file.has("onset_slice") else -1
     return {
         "slices": file.length("events_total"),
         "dots": in_words(rows, columns),
         "labelled": file.has("label"),
         "abstained": abstains(file),
         "true_slip_share": file.has(TRUE_SLIP_SHARE),
-        "onset_ms": _onset_ms(file) if file.has("onset_slice") else None,
+        "onset_ms": None if onset < 0 else onset,
     }
 
 

@@ -1,6 +1,6 @@
 """All experiments, those of the paper and those of the studies; scripts/reproduce/run.py runs them."""
 
-from scripts.paper import slip_tables
+from scripts.paper import detections
 from scripts.reproduce import steps, tables
 from scripts.reproduce.experiment import Experiment
 from scripts.reproduce.steps import evetac
@@ -47,7 +47,7 @@ PAPER: tuple[Experiment, ...] = (
         "paper-recipe", "slip detection by the paper's recipe at full size, and with one change at a time",
         "data/paper-recipe", 6.0, full=steps.RECIPE, small=steps.SMALL_RECIPE,
         steps=steps.recipe_steps, evaluations=steps.recipe_evaluations,
-        tables=(tables.PAPER_RECIPE, tables.RECIPE_CHANGES, tables.MODEL_COST, *slip_tables.TABLES),
+        tables=(tables.PAPER_RECIPE, tables.RECIPE_CHANGES, tables.MODEL_COST, *detections.TABLES),
     ),
     Experiment(
         "tracking", "tracker presets compared on edges, slip and shear", "data/tracking", 2.0,

@@ -8,7 +8,7 @@ from evetac_cli import resources
 from evetac_cli.commands.parameter import flag_of
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate.benchmark import EvaluateBenchmark, data_set, scores
-from evetac_cli.evaluate.common.report import own_report, report
+from evetac_cli.evaluate.common.report import report, report_job
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.store.layout.provenance import Header
 
@@ -29,7 +29,8 @@ def jobs(files: list[Path], params: EvaluateBenchmark, out: Path | None) -> list
         found = ", ".join(map(str, files))
         raise InputError("not a benchmark", where=found, expected="one folder", hint=data_set.MADE_BY)
     _check(params)
-    return [BenchmarkJob((), own_report(files[0].resolve().name, "benchmark", out), files[0])]
+    (job,) = report_job([], "benchmark", out, name=files[0].resolve().name)
+    return [BenchmarkJob((), job.output, files[0])]
 
 
 def _check(params: EvaluateBenchmark) -> None:

@@ -22,16 +22,17 @@ class ModelsReportJob(Job):
     models: int
 
 
-def report_job(files: list[Path], subject: str, out: Path | None, *more: Path) -> list[Job]:
+def report_job(files: list[Path], subject: str, out: Path | None, *more: Path, name: str = "") -> list[Job]:
     """Return the job of one report over all files, `<name>.<subject>.report.h5`.
 
-    The name is that of the file. For several files it is the name of their folder. For files in several folders it
-    joins the names of the folders, and the report goes into the folder that contains them all.
+    With a name and without files, it goes into the working folder. Else the name is that of the file. For several files
+    it is the name of their folder. For files in several folders it joins the names of the folders, and the report goes
+    into the folder that contains them all.
     """
     if out is not None and out.suffix == ".h5":
         return [Job((*files, *more), out)]
-    folders = list(dict.fromkeys(file.parent for file in files))
-    beside, name = folders[0], stem(files[0])
+    folders = list(dict.fromkeys(file.parent for file in files)) or [Path()]
+    beside, name = folders[0], name or stem(files[0])
     if len(files) > 1:
         names = [folder.resolve().name for folder in folders]
         left = len(names) - MOST_FOLDERS
@@ -64,10 +65,3 @@ def report(
     arrays = {"command": command, "rows": json.dumps(plain(rows)), "summary": json.dumps(plain(summary))}
     made = write_stage(job.output, recipe, arrays, force=force) is not None
     return Outcome(rows, recipe.simulated, {**summary, "report": str(job.output)}, made=made)
-
-
-def own_report(part: str, subject: str, out: Path | None) -> Path:
-    """Return the path of a report without inputs: `<part>.<subject>.report.h5` in the working folder, or `out`."""
-    if out is not None and out.suffix == ".h5":
-        return out
-    return (out or Path()) / f"{part}.{subject}.report.h5"

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate.common import picture
-from evetac_cli.evaluate.common.report import own_report, report, report_job
+from evetac_cli.evaluate.common.report import report, report_job
 from evetac_cli.evaluate.common.rows import draw, size_in
 from evetac_cli.evaluate.cost import EvaluateCost, grasp, labels, models, pipeline, tracker
 from evetac_cli.evaluate.cost import simulator as simulator_cost
@@ -95,9 +95,8 @@ def jobs(files: list[Path], params: EvaluateCost, out: Path | None) -> list[Job]
         taking = ", ".join(name for name, other in PARTS.items() if other.takes_trials)
         raise InputError("not of this part", where="--trials", expected=f"part {taking}", found=params.part)
     inputs = part.inputs(files, params.model) if part.inputs else ()
-    if files:
-        return report_job([inputs[0]], "cost", out, *inputs[1:])
-    return [Job(inputs, own_report(params.part, "cost", out))]
+    beside = inputs[: bool(files)]
+    return report_job([*beside], "cost", out, *inputs[len(beside) :], name="" if files else params.part)
 
 
 def run(job: Job, params: EvaluateCost, *, force: bool = False, progress: Progress = silent) -> Outcome:

@@ -176,26 +176,27 @@ def intervals(recording: Recording, around_s: float) -> Intervals:
 def _about_slip(recording: Recording, around_s: float) -> SliceInterval:
     """Return equally many slices before and after the onset; missing unless all of them were recorded."""
     half = round(500 * around_s)
-    if recording.has("truth"):
-        true = true_onset(recording)
-        if true is None:
-            return SliceInterval(0, 0, "no slip")
-        onset = true
-    else:
-        labels = labels_beside(recording)
-        if labels is None:
-            return SliceInterval(0, 0, "neither truth nor labels next to the recording")
-        if labels.onset.abstained:
-            return SliceInterval(0, 0, f"the labels abstain: {labels.onset.doubt}")
-        if labels.onset.slice_ is None:
-            return SliceInterval(0, 0, "no slip in the labels")
-        onset = labels.onset.slice_
+    onset, why = slip_onset(recording)
+    if onset is None:
+        return SliceInterval(0, 0, why)
     first, last = onset - half, onset + half
     if first < 0 or last > len(recording):
         held_s = (min(last, len(recording)) - max(first, 0)) / SLICES_PER_S
         of_all = f"{held_s:g} s of {around_s:g} s around the onset at {onset} ms are recorded"
         return SliceInterval(0, 0, f"too little around the onset: {of_all}")
     return SliceInterval(first, last)
+
+
+def slip_onset(recording: Recording) -> tuple[int | None, str]:
+    """Return the onset of slip, by truth or by labels next to the recording; else None and why it is unknown."""
+    if recording.has("truth"):
+        return true_onset(recording), "no slip"
+    labels = labels_beside(recording)
+    if labels is None:
+        return None, "neither truth nor labels next to the recording"
+    if labels.onset.abstained:
+        return None, f"the labels abstain: {labels.onset.doubt}"
+    return labels.onset.slice_, "no slip in the labels"
 
 
 class _Labels(NamedTuple):

@@ -156,11 +156,6 @@ def known_sensor(recording: Recording) -> Sensor:
     return read_sensor(recording.header["parameters"], str(recording.path))
 
 
-def _true_gel(sensor: Sensor, off: float = 1.0) -> KnownGel:
-    """Return the true gel of a simulated sensor except its creep, with the modulus times a factor."""
-    return KnownGel(sensor.shear_modulus_pa * off, sensor.mm_per_px, None, known_gel.edges_of(sensor))
-
-
 def _gels(
     name: str,
     sensor: Sensor,
@@ -173,7 +168,9 @@ def _gels(
     rng = np.random.default_rng([params.seed, zlib.crc32(name.encode())])
     moduli, noise = rng.spawn(2)
     off = float(np.exp(params.stiffness_error * moduli.standard_normal()))
-    known_gels = {"unknown": KnownGel(), "known": _true_gel(sensor, off)}
+    # all of the true gel except its creep
+    true = KnownGel(off * sensor.shear_modulus_pa, sensor.mm_per_px, None, known_gel.edges_of(sensor))
+    known_gels = {"unknown": KnownGel(), "known": true}
     if identified is not None:
         known_gels["identified"] = identified
     gels = {state: known_gel.gel_of(gel, params.stiffness_error) for state, gel in known_gels.items()}

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.arrays import Floats
 from evetac_cli.evaluate.data_rate import COLUMNS
-from evetac_cli.evaluate.data_rate.measure import dot_places, intervals, labels_beside
+from evetac_cli.evaluate.data_rate.measure import dot_places, intervals, slip_onset
 from evetac_cli.evaluate.realism.measure import ContactPhase, rest_and_motion, stroked
 from evetac_cli.evaluate.slip.tables import TIMING_BINS
 from evetac_cli.events import SLICE_US, SLICES_PER_S
@@ -30,7 +30,7 @@ from evetac_cli.kernels.slip.metrics import EARLIEST_MS, LATEST_MS
 from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.stages import row_blocks
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.recordings.read import Recording, first_slice, ramp_start, true_onset
+from evetac_cli.store.recordings.read import Recording, first_slice, ramp_start
 
 ABOUT_MS = 250  # before and after the onset: the paper's half second
 QUIETEST_MS = 100  # their mean rate is the floor without motion
@@ -71,11 +71,7 @@ def count(recording: Recording) -> SliceCounts:
         own = slices[block.events.x < COLUMNS]
         sensing[block.first : block.stop] = np.bincount(own, minlength=len(block.starts) - 1)
     window = np.diff(recording.starts) - sensing
-    if recording.has("truth"):
-        return SliceCounts(sensing, window, true_onset(recording), ramp_start(recording))
-    labels = labels_beside(recording)
-    onset = None if labels is None or labels.onset.abstained else labels.onset.slice_
-    return SliceCounts(sensing, window, onset, ramp_start(recording))
+    return SliceCounts(sensing, window, slip_onset(recording)[0], ramp_start(recording))
 
 
 def about_slip(counts: SliceCounts) -> Row:

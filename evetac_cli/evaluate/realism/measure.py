@@ -154,7 +154,9 @@ def run(job: Job, params: EvaluateRealism, *, force: bool = False, progress: Pro
         both = []
         for number, path in enumerate(job.inputs[:2]):
             with open_recording(path) as recording:
-                both.append(_side(recording))
+                rest, motion = rest_and_motion(recording)
+                press = None if motion is None else stroked(recording, rest)
+                both.append(Side(recording.path.name, rest, motion, press))
             progress(number + 1, len(job.inputs) + 2)
         return _as_long(both[0], both[1])
 
@@ -274,12 +276,6 @@ def auc_of_halves(of: Floats) -> float | None:
     """Return the AUC between alternate pairs of windows of one recording; None if it is too short."""
     other = np.arange(len(of)) // realism.BLOCK % 2 == 1
     return auc(of[~other], of[other])
-
-
-def _side(recording: Recording) -> Side:
-    rest, motion = rest_and_motion(recording)
-    press = None if motion is None else stroked(recording, rest)
-    return Side(recording.path.name, rest, motion, press)
 
 
 def _as_long(real: Side, simulated: Side) -> tuple[Side, Side]:

@@ -123,7 +123,8 @@ def tables(
             found["models"].append({"setting": setting, **about, **scores[index]})
             found["trajectories"] += [
                 _trajectory_row(setting, model, thresholds[index], prediction, path)
-                | {"abstained_because": doubts.get(path), **_of_judged(one)}
+                | {"abstained_because": doubts.get(path), "sensor_name": one.sensor}
+                | {"lead_ms": one.lead_ms, "false_alarms": one.false_alarms}
                 for prediction, one, path in zip(predictions[index], judged[index], paths, strict=True)
             ]
     rows = [row for table in found.values() for row in table]
@@ -162,10 +163,6 @@ def _papers_object(model: Model, name: str, models: int) -> Row:
         "models": models,
         "paper_slip_correct_of_object": None if name in model.objects else PAPER.value(*key),
     }
-
-
-def _of_judged(one: Judged) -> Row:
-    return {"sensor_name": one.sensor, "lead_ms": one.lead_ms, "false_alarms": one.false_alarms}
 
 
 def by_group(predictions: Sequence[Prediction], threshold: float, factor: str) -> dict[str, Row]:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import EvetacError, attach_outcome
-from evetac_cli.evaluate.common.report import own_report, report
+from evetac_cli.evaluate.common.report import report, report_job
 from evetac_cli.evaluate.stability import EvaluateStability, grasp, tracker
 from evetac_cli.evaluate.stability import simulator as simulator_stability
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
@@ -35,7 +35,7 @@ PARTS: dict[str, StabilityPart] = {
 
 def jobs(files: list[Path], params: EvaluateStability, out: Path | None) -> list[Job]:
     """Return the job of the report on the part: `<part>.stability.report.h5`, by default in the working folder."""
-    return [Job((), own_report(params.part, "stability", out))]
+    return report_job([], "stability", out, name=params.part)
 
 
 def run(job: Job, params: EvaluateStability, *, force: bool = False, progress: Progress = silent) -> Outcome:

@@ -11,6 +11,7 @@ if its flag `lost` ends there, and it is then within a few px of its start. Othe
 """
 
 import json
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -224,13 +225,16 @@ def _mean_events(tracks: StageFile, present: NDArray[np.bool_]) -> float:
 def _lengths(rows: Rows) -> dict[str, Any]:
     """Return errors over trajectories with equal weights; None without truth."""
     with_truth = [row for row in rows if row["error_px_rms"] is not None]
-    if not with_truth:
-        return {"error_px_rms": None, "with_truth": 0, "error_px_worst": None, "still_px_rms": None}
+
+    def rms(name: str) -> float | None:
+        square = mean(row[name] ** 2 for row in with_truth)
+        return None if square is None else math.sqrt(square)
+
     return {
-        "error_px_rms": float(np.sqrt(np.mean([row["error_px_rms"] ** 2 for row in with_truth]))),
+        "error_px_rms": rms("error_px_rms"),
         "with_truth": len(with_truth),
-        "error_px_worst": max(row["error_px_worst"] for row in with_truth),
-        "still_px_rms": float(np.sqrt(np.mean([row["still_px_rms"] ** 2 for row in with_truth]))),
+        "error_px_worst": max((row["error_px_worst"] for row in with_truth), default=None),
+        "still_px_rms": rms("still_px_rms"),
     }
 
 

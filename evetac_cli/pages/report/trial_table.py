@@ -72,10 +72,10 @@ def trials_of_both(studies: Sequence[Study]) -> str:
 def onset_charts(studies: Sequence[Study]) -> Iterator[tuple[str, str]]:
     """Yield title and chart of labelled onsets against the truth, and of models against the labels, for each study."""
     for number, study in enumerate(studies):
-        models = f"Models against the labels, {_median_of(study)}"
+        of_models = f"median of {study.models} models" if study.models > 1 else "one model"
         for title, kind, window_ms, axis in (
             ("Labels against the truth", "label_error_ms", LABELS_MS, LABEL_AXIS),
-            (models, "model_error_ms", TIMING_MS, MODEL_AXIS),
+            (f"Models against the labels, {of_models}", "model_error_ms", TIMING_MS, MODEL_AXIS),
         ):
             if chart := _onset_chart(study, number, kind, window_ms, axis):
                 yield f"{study.name}: {title}" if len(studies) > 1 else title, chart
@@ -105,10 +105,6 @@ def trial_table(studies: Sequence[Study], page: Path) -> str:
         body.append(f"<tr {row}>{''.join(cells[head] for head in heads)}</tr>")
     filters = _filters([row[1:] for row in rows], len(studies) > 1)
     return text + filters + table(heads, body, "all-trials") + _unreadable(studies)
-
-
-def _median_of(study: Study) -> str:
-    return f"median of {study.models} models" if study.models > 1 else "one model"
 
 
 def _cells(study: Study, trial: StudyTrial, remarked: str, page: Path) -> dict[str, str]:
