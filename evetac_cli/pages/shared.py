@@ -8,6 +8,7 @@ import html
 import json
 import math
 import re
+from base64 import b64encode
 from collections.abc import Iterable, Mapping
 from functools import partial
 from importlib.util import find_spec
@@ -83,6 +84,11 @@ def short(value: Any) -> str:
     """Return any value as escaped text, truncated if it is long."""
     text = value if isinstance(value, str) else json.dumps(value)
     return html.escape(text if len(text) <= LONGEST_TEXT else text[:LONGEST_TEXT] + "...")
+
+
+def image(png: bytes, attributes: str) -> str:
+    """Return an image element with its data."""
+    return f"<img {attributes} src='data:image/png;base64,{b64encode(png).decode()}'>"
 
 
 def badges(values: Iterable[tuple[str, Any]], *, simulated: bool) -> str:

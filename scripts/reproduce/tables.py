@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from evetac_cli.evaluate import PAPER
 from evetac_cli.evaluate.data_rate import COLUMNS
+from evetac_cli.evaluate.subject import grouped
 from evetac_cli.jobs import Row, Rows
 from scripts.reproduce.steps import DATA_RATE_OBJECTS, ROBUST_SETTINGS, TRACKING_SCENES
 
@@ -204,15 +205,14 @@ def force_rows(evaluations: Evaluations) -> Rows:
     rows = []
     for name, evaluation in evaluations.items():
         dots = name.rpartition("-")[2]
-        groups: dict[tuple[str, str, str], Rows] = {}
-        for row in (row for row in evaluation.rows if "mae_n_x" in row):
-            groups.setdefault((row["sensor"], row["model"], row["sensor_name"]), []).append(row)
-        for (sensor, model, sensor_name), members in groups.items():
+        trials = [row for row in evaluation.rows if "mae_n_x" in row]
+        for members in grouped(trials, ("sensor", "model", "sensor_name")):
             mean = {key: sum(row[key] for row in members) / len(members) for key in ("mae_n_x", "mae_n_y")}
-            what = {"sensor": sensor, "model": model, "sensor_name": sensor_name, "trajectories": len(members)}
+            what = {key: members[0][key] for key in ("sensor", "model", "sensor_name")}
+            what["trajectories"] = len(members)
             published = {key: members[0][key] for key in ("paper_mae_n_x", "paper_mae_n_y")}
-            words = {"tracker": dots, "camera": CAMERAS[dots], "model_words": FORCE_MODELS[model], "evaluation": name}
-            rows.append({**what, **words, **mean, **published})
+            words = {"tracker": dots, "camera": CAMERAS[dots], "model_words": FORCE_MODELS[what["model"]]}
+            rows.append({**what, **words, "evaluation": name, **mean, **published})
     return rows
 
 

@@ -22,6 +22,7 @@ from evetac_cli.commands.track import Track
 from evetac_cli.errors import MAKE_MODEL, InputError
 from evetac_cli.evaluate.benchmark.data_set import Benchmark, BenchmarkTrial, read_json
 from evetac_cli.evaluate.benchmark.predictions import ONSET_KINDS, WARNING_KINDS, Predictions
+from evetac_cli.evaluate.common.rows import each
 from evetac_cli.evaluate.grasp import measure as grasp_evaluation
 from evetac_cli.evaluate.slip.models import Model
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, silent
@@ -70,7 +71,7 @@ def predict(benchmark: Benchmark, methods: Methods, folder: Path, progress: Prog
         made.onset_ms, made.warning = {}, {}
     if methods.of_force is not None:
         made.force_n = {}
-    for number, entry in enumerate(benchmark.entries.values()):
+    for entry in each(benchmark.entries.values(), progress, "recordings"):
         tracks = _tracked(entry, methods.tracker, folder)
         at_ms = [ms for name, ms in benchmark.queries["dots"] if name == entry.name]
         with StageFile(tracks, "tracks") as file:
@@ -84,7 +85,6 @@ def predict(benchmark: Benchmark, methods: Methods, folder: Path, progress: Prog
             made.warning[entry.name] = score
             if made.onset_ms is not None and entry.kind in ONSET_KINDS:
                 made.onset_ms[entry.name] = _onset(entry, score, methods)
-        progress(number + 1, len(benchmark.entries), "recordings")
     return made
 
 
@@ -199,11 +199,10 @@ def play_lifts(
     """
     folder.mkdir(parents=True, exist_ok=True)
     rows = []
-    for number, (name, lift) in enumerate(lifts.items()):
+    for name, lift in each(lifts.items(), progress, "lifts"):
         params, path = lift_flags(benchmark, name, lift, **chosen), folder / f"{name}.recording.h5"
         (job,) = grasp.jobs([], params, path)
         made_or_kept(grasp.run, job, params)
         outcome = grasp_evaluation.trial_row(path, header_of(path, "recording"))
         rows.append({**outcome, "name": name, **{key: lift[key] for key in ("split", "object", "sensor")}})
-        progress(number + 1, len(lifts), "lifts")
     return rows

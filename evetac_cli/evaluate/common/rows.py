@@ -8,9 +8,8 @@ resamples the same few values. Shares of trials have their own intervals, becaus
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from pathlib import Path
 from statistics import NormalDist
 from types import MappingProxyType
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -27,6 +26,7 @@ from evetac_cli.kernels import estimates
 from evetac_cli.kernels.estimates import Estimate
 
 Amount = TypeVar("Amount")
+Item = TypeVar("Item")
 
 FLAGS = {item.name: flag_of(item) for item in fields(Trials) if item.name in SOLVER_OPTIONS}
 STILL, REFERENCE = "standing still", "reference"
@@ -58,11 +58,11 @@ def collect(rows: Iterable[Row], total: int, progress: Progress) -> Rows:
     return measured
 
 
-def each(paths: Sequence[Path], progress: Progress) -> Iterator[Path]:
-    """Yield the paths, and report the progress after each."""
-    for number, path in enumerate(paths, start=1):
-        yield path
-        progress(number, len(paths))
+def each(items: Collection[Item], progress: Progress, unit: str = "") -> Iterator[Item]:
+    """Yield the items, and report the progress after each, in a unit."""
+    for number, item in enumerate(items, start=1):
+        yield item
+        progress(number, len(items), unit)
 
 
 def mean(values: Iterable[float | None]) -> float | None:

@@ -29,6 +29,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.evaluate.common.report import ModelsReportJob, report
 from evetac_cli.evaluate.common.rows import each, mean
 from evetac_cli.evaluate.force import EvaluateForce
+from evetac_cli.evaluate.subject import grouped
 from evetac_cli.jobs import Outcome, Progress, Rows
 from evetac_cli.kernels.force.gel_forces import Forces
 from evetac_cli.kernels.force.models import CONTACT_N
@@ -253,10 +254,8 @@ def _summary(trials: list[ForceTrial], rows: Rows, range_n: float, params: Evalu
         summary[f"{word}_counted"] = len(known)
         for key in ERRORS[2:]:
             summary[f"{word}_{key}"] = mean(row[key] for row in known)
-        by_sensor: dict[str, list[float]] = {}
-        for row in known:
-            by_sensor.setdefault(row["sensor_name"], []).append(row["mae_n"])
+        by_sensor = [float(np.mean([row["mae_n"] for row in of])) for of in grouped(known, ("sensor_name",))]
         summary[f"{word}_sensors"] = len(by_sensor)
-        summary[f"{word}_worst_sensor_mae_n"] = max((float(np.mean(of)) for of in by_sensor.values()), default=None)
+        summary[f"{word}_worst_sensor_mae_n"] = max(by_sensor, default=None)
     summary["contact_right"] = mean(row["contact_right"] for row in rows if row["stiffness"] == "unknown")
     return summary

@@ -143,12 +143,10 @@ def tables(trials: Rows) -> tuple[Rows, dict[str, Any]]:
     objects: Rows = []
     for name in dict.fromkeys(without_gain(row["setting"]) for row in trials):
         members = [row for row in trials if without_gain(row["setting"]) == name]
-        columns: dict[tuple[str, int | str], Rows] = {}
-        for row in members:
-            columns.setdefault((row["setting"], row["object"]), []).append(row)
+        columns = grouped(members, ("setting", "object"))
         rows = [
-            {"setting": setting, "object": number, **_alike(cell), **figures(cell)}
-            for (setting, number), cell in columns.items()
+            {"setting": cell[0]["setting"], "object": cell[0]["object"], **_alike(cell), **figures(cell)}
+            for cell in columns
         ]
         objects += [_with_papers(row, "paper_success", "paper_opening_after_balance_ticks") for row in rows]
         row = {"setting": name, "columns": len(columns), **_alike(members), **figures(members)}
@@ -327,8 +325,6 @@ def draw_forces(figure: Any, settings: Sequence[tuple[int, str, Rows]]) -> None:
     middle = float(np.median(np.array(holding_n) / np.array(weights_n)))
     ends = np.array([min(weights_n), max(weights_n)])
     axes.plot(ends, middle * ends, color="0.35", linewidth=1, label="... at the median friction")
-    axes.set_xscale("log")
-    axes.set_yscale("log")
     for axis in (axes.xaxis, axes.yaxis):
         picture.log_axis(axis)
     axes.set_xlabel("weight carried at the end [N]")

@@ -25,6 +25,7 @@ import numpy as np
 from evetac_cli import resources
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.evaluate.common.report import report, report_job
+from evetac_cli.evaluate.common.rows import each
 from evetac_cli.evaluate.data_rate.measure import headers_beside
 from evetac_cli.evaluate.likeness import EvaluateLikeness
 from evetac_cli.evaluate.likeness.facts import (
@@ -75,10 +76,7 @@ def run(job: Job, params: EvaluateLikeness, *, force: bool = False, progress: Pr
     parameters = {**recipe_of(params), "facts": listed}
 
     def measured() -> tuple[Rows, dict[str, Any]]:
-        recordings = []
-        for number, path in enumerate(job.inputs):
-            recordings.append(_measured_recording(path))
-            progress(number + 1, len(job.inputs))
+        recordings = [_measured_recording(path) for path in each(job.inputs, progress)]
         rows = [_fact_row(fact, recordings) for fact in facts()]
         return [*rows, *(one.row for one in recordings)], _summary(rows, recordings)
 

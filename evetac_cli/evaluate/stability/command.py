@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import EvetacError, attach_outcome
 from evetac_cli.evaluate.common.report import report, report_job
+from evetac_cli.evaluate.common.rows import each
 from evetac_cli.evaluate.stability import EvaluateStability, grasp, tracker
 from evetac_cli.evaluate.stability import simulator as simulator_stability
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
@@ -46,11 +47,7 @@ def run(job: Job, params: EvaluateStability, *, force: bool = False, progress: P
     part = PARTS[params.part]
 
     def measure() -> tuple[Rows, dict[str, Any]]:
-        rows: Rows = []
-        cases = part.cases(params.seed, params.full)
-        for number, run_case in enumerate(cases, start=1):
-            rows += run_case()
-            progress(number, len(cases))
+        rows = [row for run_case in each(part.cases(params.seed, params.full), progress) for row in run_case()]
         return sorted(rows, key=lambda row: bool(row["ok"])), summary(rows, part)
 
     outcome = report(

@@ -2,7 +2,6 @@
 
 import html
 import shlex
-from base64 import b64encode
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -89,10 +88,6 @@ def _charts(titled: Iterable[tuple[str, str]]) -> str:
     return f"<div class='charts'>{shown}</div>" if shown else ""
 
 
-def _image(plot: bytes) -> str:
-    return f"<img alt='plot' src='data:image/png;base64,{b64encode(plot).decode()}'>"
-
-
 def _section(subject: Subject, studies: Sequence[Study]) -> str:
     """Return plots and tables of the reports of a subject; empty if there are none."""
     of_reports = [(study, one) for study in studies for one in study.reports(f"evaluate {subject.name}")]
@@ -100,7 +95,10 @@ def _section(subject: Subject, studies: Sequence[Study]) -> str:
     legend = columns_of(f"evaluate {subject.name}")
     explained: dict[str, str] = {}
     text = _charts(
-        (f"{study.name}: {evaluation.path}" if several else evaluation.path, _image(evaluation.plot))
+        (
+            f"{study.name}: {evaluation.path}" if several else evaluation.path,
+            shared.image(evaluation.plot, "alt='plot'"),
+        )
         for study, evaluation in of_reports
         if evaluation.plot is not None
     )

@@ -3,7 +3,6 @@
 import html
 import math
 import os
-from base64 import b64encode
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -112,8 +111,7 @@ def _cells(study: Study, trial: StudyTrial, remarked: str, page: Path) -> dict[s
     row, grasp = trial.row, trial.grasp or {}
     image = ""
     if trial.thumbnail is not None:
-        data = b64encode(trial.thumbnail).decode()
-        image = f"<img loading='lazy' width='96' alt='events' src='data:image/png;base64,{data}'>"
+        image = shared.image(trial.thumbnail, "loading='lazy' width='96' alt='events'")
     name = shared.short(trial.name)
     if trial.page is not None:
         link = quote(os.path.relpath(trial.page.resolve(), page.resolve().parent))
