@@ -208,8 +208,7 @@ def force_rows(evaluations: Evaluations) -> Rows:
         trials = [row for row in evaluation.rows if "mae_n_x" in row]
         for members in grouped(trials, ("sensor", "model", "sensor_name")):
             mean = {key: sum(row[key] for row in members) / len(members) for key in ("mae_n_x", "mae_n_y")}
-            what = {key: members[0][key] for key in ("sensor", "model", "sensor_name")}
-            what["trajectories"] = len(members)
+            what = {key: members[0][key] for key in ("sensor", "model", "sensor_name")} | {"trajectories": len(members)}
             published = {key: members[0][key] for key in ("paper_mae_n_x", "paper_mae_n_y")}
             words = {"tracker": dots, "camera": CAMERAS[dots], "model_words": FORCE_MODELS[what["model"]]}
             rows.append({**what, **words, "evaluation": name, **mean, **published})
