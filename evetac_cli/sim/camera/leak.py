@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import optics
-from evetac_cli.sim.camera.optics import differing_row
 from evetac_cli.sim.camera.readout import event_key
 from evetac_cli.sim.camera.scanning.pixels import GelPixels, ScanTimes, WindowPixels
 
@@ -36,11 +35,11 @@ def leak_in_scans(
 ) -> int:
     """Lower the references of every LEAK_SLICES-th row of a scanning camera, and compare these pixels."""
     dot_xy = gel.seen_dot_xy_px
-    inner, outer, steps_per_px, profile = gel.profile
     reference, threshold, release_us, candidates = gel.reference, gel.threshold, gel.release_us, gel.candidates
     line = candidates.line
     shifted, nothing = gel.middle_shift.size > 0, line[:0]
-    shapes = gel.shapes
+    inner, outer, steps_per_px, profile = gel.profile
+    ink = (inner, outer, steps_per_px, profile, gel.shapes.inner_px, gel.shapes.outer_px, gel.shapes.level)
     first_x, first_y, object_seen, texture = window.first_x, window.first_y, window.seen_object, window.texture
     readout_us, t0_us, refractory_us = times
     height, width = reference.shape
@@ -50,11 +49,7 @@ def leak_in_scans(
     for row in range(first_row, height, LEAK_SLICES):
         scan = (row // LEAK_SLICES) % scans
         when = (drift, row, readout_us[scan], t0_us + scan * SLICE_US / scans, refractory_us, keys)
-        if len(shapes.inner_px):
-            own = (shapes.inner_px, shapes.outer_px, steps_per_px, shapes.level)
-            differing_row(dot_xy, *own, row, 0, width, line)
-        else:
-            optics.dot_row(dot_xy, inner, outer, steps_per_px, profile, row, 0, width, line)
+        optics.dot_row(dot_xy, *ink, row, 0, width, line)
         own_shift = gel.middle_shift[row] if shifted else nothing
         event_count = _leak_row(line, reference[row], threshold[row], own_shift, release_us[row], 0, *when, event_count)
         candidates.lower2_px2[row] = np.inf

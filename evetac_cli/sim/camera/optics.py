@@ -199,14 +199,22 @@ def dot_row(
     outer_px: float,
     steps_per_px: float,
     level: NDArray[np.float32],
+    own_inner_px: NDArray[np.float64],
+    own_outer_px: NDArray[np.float64],
+    own_level: NDArray[np.float32],
     y: int,
     first: int,
     end: int,
     line: NDArray[np.float32],
 ) -> None:
-    """Fill line[: end - first] with the log brightness of pixels first to end of row y; the nearest dot counts."""
+    """Fill line[: end - first] with the log brightness of pixels first to end of row y; the darkest dot counts.
+
+    The profile of a dot is the common one, or its own if dots differ (see DotShapes; empty if not).
+    """
     line[: end - first] = 0.0
     for dot in range(len(dot_xy_px)):
+        if len(own_inner_px):
+            inner_px, outer_px, level = own_inner_px[dot], own_outer_px[dot], own_level[dot]
         down = y - dot_xy_px[dot, 1]
         if abs(down) > outer_px:
             continue
@@ -357,30 +365,3 @@ def shaped_level(
         inner, outer, level = shapes.inner_px[dot], shapes.outer_px[dot], shapes.level[dot]
         draw_dots(picture, dot_xy_px[dot : dot + 1], inner, outer, profile.steps_per_px, level)
     return picture
-
-
-@njit(cache=True, _nrt=False)
-def differing_row(
-    dot_xy_px: NDArray[np.float64],
-    inner: NDArray[np.float64],
-    outer: NDArray[np.float64],
-    steps_per_px: float,
-    level: NDArray[np.float32],
-    y: int,
-    first: int,
-    end: int,
-    line: NDArray[np.float32],
-) -> None:
-    """Fill a line like `dot_row`, for dots that each have their own shape; the darkest counts."""
-    line[: end - first] = 0.0
-    for dot in range(len(dot_xy_px)):
-        down = y - dot_xy_px[dot, 1]
-        if abs(down) > outer[dot]:
-            continue
-        dot_x = dot_xy_px[dot, 0]
-        half = math.sqrt(outer[dot] * outer[dot] - down * down)
-        down2 = np.float32(down) * np.float32(down)
-        for x in range(max(first, math.ceil(dot_x - half)), min(end, math.floor(dot_x + half) + 1)):
-            across = np.float32(x - dot_x)
-            position = profile_position(across * across + down2, np.float32(inner[dot]), np.float32(steps_per_px))
-            line[x - first] = min(line[x - first], profile_level(position, level[dot]))

@@ -24,9 +24,9 @@ from evetac_cli.sim.camera import optics
 from evetac_cli.sim.camera.gel_camera import GelCamera
 from evetac_cli.sim.scenes.finger_drive import FingerDrive
 from evetac_cli.sim.scenes.gel_view import ALONG, FACING, GelView
-from evetac_cli.sim.scenes.held_object import HeldObject, Support
+from evetac_cli.sim.scenes.held_object import HeldObject
 from evetac_cli.sim.scenes.pads import Pads
-from evetac_cli.sim.scenes.shared import SolverTruth, friction_after
+from evetac_cli.sim.scenes.shared import friction_after
 from evetac_cli.sim.setup.object_file import seed_of
 from evetac_cli.sim.setup.parts import Timer, untimed
 from evetac_cli.sim.setup.plan import SECOND, Plan
@@ -128,9 +128,9 @@ def _window_from_middle_m(camera: GelCamera, middle_m: NDArray[np.float64]) -> t
 class GraspSimulation:
     """One trial with a gripper: set `finger.command`; `step` advances by one slice, `truth` returns its truth.
 
-    finger: motor, gear and encoder of the fingers. pads: the gel and the motion of the object. held: its position and
-    what pushes it. support: what else carries it. view, second_view: what the cameras see; second_events: events of
-    the second finger's camera in the last slice.
+    finger: motor, gear and encoder of the fingers. pads: the gel and the motion of the object. held: what pushes
+    the object, and what else carries it. view, second_view: what the cameras see; second_events: events of the second
+    finger's camera in the last slice.
     """
 
     def __init__(
@@ -158,8 +158,7 @@ class GraspSimulation:
         if plan.scene.kind == "ramp":
             pads.close(self.finger.state)
         pads.press(self.finger.state)
-        self.held = HeldObject(plan, pads, lift_s)
-        self.support = Support(plan, sampled, pads, self.held, of_hand)
+        self.held = HeldObject(plan, sampled, pads, lift_s, of_hand)
         self.view = FingerView(plan, sampled, pads, optics_rng, timer)
         self.second_view = None
         if plan.second is not None:
@@ -169,7 +168,6 @@ class GraspSimulation:
         self.second_events: Events | None = None
         self._friction = pads.friction
         self._changes_at, self._changed = friction_after(plan.scene.friction_change, pads.friction)
-        self._steps = SolverTruth(pads.first)
         self._is_lifted = plan.scene.kind == "lift"
         self.slices, self.finished = 0, False
         lasts_s = time.touch_s + lift_s + balance_s if self._is_lifted else time.longest_s
@@ -186,19 +184,17 @@ class GraspSimulation:
             pressed_m = pads.second.indentation_m
             self.second_events = self.second_view.look(self.slices, pressed_m, finger.open_mm, still=still)
         self.slices += 1
-        self.finished = self.slices >= self.slices_in_all or self.support.is_over(finger.state.force_n)
+        self.finished = self.slices >= self.slices_in_all or self.held.is_over(finger.state.force_n)
         return events
 
     def _move(self) -> None:
-        """Perform one mechanical step of fingers, gel, object and what supports it."""
+        """Perform one mechanical step of fingers, gel and object."""
         pads = self.pads
         if self.slices == self._changes_at:
             self._friction = self._changed
         force_n = self.finger.move(self.slices)
         pads.press(self.finger.state)
-        self.held.catch(self.slices)
-        done = self.support.advance(self.slices, force_n, self._friction)
-        self._steps.follow(done, self._friction)
+        done = self.held.advance(self.slices, force_n, self._friction)
         self.view.follow_forces(pads.shares, done.friction_n[:2], force_n[1])
         if self.second_view is not None and pads.second is not None:
             pads.second.state.pose[:] = pads.first.pose
@@ -217,13 +213,13 @@ class GraspSimulation:
         the hand's motion.
         """
         static = max(self._friction.static, LEAST_FRICTION)
-        return self.pads.slip_limit_n * self.support.pulls * self.pads.friction.static / static
+        return self.pads.slip_limit_n * self.held.pulls * self.pads.friction.static / static
 
     def truth(self) -> dict[str, Any]:
         """Return the ground truth at the end of the last slice, by schema path."""
-        row = {**self.view.truth_of(self.finger), **self._steps.rows()}
+        row = {**self.view.truth_of(self.finger), **self.pads.solver_truth()}
         if self._is_lifted:
-            row["truth/table_gap_mm"] = (self.support.table_m - self.held.fallen_m) * 1e3
+            row["truth/table_gap_mm"] = (self.held.table_m - self.held.fallen_m) * 1e3
             row["truth/holding_force_n"] = self.holding_n
         return row
 

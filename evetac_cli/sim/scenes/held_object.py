@@ -28,43 +28,6 @@ FADE_S = 0.05  # time over which a vibration fades in and out
 GONE_M = 0.02  # an object that slid this far is lost
 
 
-class HeldObject:
-    """The position of the object, and what pushes it.
-
-    start_m: its centre of mass when the trial starts.
-    """
-
-    def __init__(self, plan: Plan, pads: Pads, lift_s: float) -> None:
-        """Start with the object where the pads hold it."""
-        self._pads, self._time = pads, plan.scene.time
-        self.start_m = pads.first.pose[:2].copy()
-        self._pushes, self._drop = plan.scene.push, plan.scene.drop
-        after_s = 0.0 if self._drop is None else self._drop.after_s
-        self._drops_at = round((self._time.touch_s + lift_s) * SLICES_PER_S) + round(after_s * SLICES_PER_S)
-
-    @property
-    def fallen_m(self) -> float:
-        """Return the object's motion along gravity since the start."""
-        down = self._pads.down
-        return float(self._pads.first.pose[down] - self.start_m[down])
-
-    def catch(self, slice_number: int) -> None:
-        """Let a weight land on the object, if the scene drops one in this slice."""
-        if self._drop is not None and slice_number == self._drops_at:
-            self._pads.catch(self._drop.mass_g * 1e-3, self._drop.speed_m_s)
-
-    def load(self, slice_number: int) -> float:
-        """Return the share of the weight on the gripper: handed over smoothly after the rest."""
-        done = (slice_number * STEP_S - self._time.rest_s) / max(self._time.load_s, STEP_S)
-        if done >= 1.0:
-            return 1.0
-        return float(0.5 - 0.5 * np.cos(np.pi * min(max(done, 0.0), 1.0)))
-
-    def push_n(self, slice_number: int) -> float:
-        """Return the downward force of the scene's pushes in a slice."""
-        return 0.0 if self._pushes is None else self._pushes.at(slice_number * STEP_S)
-
-
 class ShakenHand:
     """Vibration of the robot that carries the gripper."""
 
@@ -133,37 +96,54 @@ class Hand:
         return self._fastest_m_s * done
 
 
-class Support:
-    """What carries the object besides the fingers: a table, the floor, or something that hands it over to them.
+class HeldObject:
+    """The object between the pads: its motion, under pushes and a falling weight, and what carries it besides them.
 
-    pulls: gravity plus the hand's acceleration, divided by gravity. table_m: how far the table has sunk.
+    That is a table, the floor, or something that hands it over to the fingers. pulls: gravity plus the hand's
+    acceleration, divided by gravity. table_m: how far the table has sunk.
     """
 
-    def __init__(
-        self, plan: Plan, sampled: SampledTrial, pads: Pads, held: HeldObject, rng: np.random.Generator
-    ) -> None:
-        """Start with a hand at rest; rng: its random stream."""
+    def __init__(self, plan: Plan, sampled: SampledTrial, pads: Pads, lift_s: float, rng: np.random.Generator) -> None:
+        """Start with the object where the pads hold it, and a hand at rest; rng: random stream of the hand."""
         self._kind, self._theta, self._floor_m = plan.scene.kind, plan.scene.solver.theta, sampled.floor_m
-        self._after_lost_s = plan.scene.time.after_lost_s
-        self._pads, self._held, self._hand = pads, held, Hand(plan, rng)
+        self._time, self._pushes, self._drop = plan.scene.time, plan.scene.push, plan.scene.drop
+        after_s = 0.0 if self._drop is None else self._drop.after_s
+        self._drops_at = round((self._time.touch_s + lift_s) * SLICES_PER_S) + round(after_s * SLICES_PER_S)
+        self._pads, self._hand = pads, Hand(plan, rng)
+        self._starts_at_m = float(pads.first.pose[pads.down])
         self.pulls, self.table_m = 1.0, 0.0
         self._on_table = plan.scene.kind == "lift"
         self._lost_for = 0
+
+    @property
+    def fallen_m(self) -> float:
+        """Return the object's motion along gravity since the start."""
+        return float(self._pads.first.pose[self._pads.down] - self._starts_at_m)
 
     def advance(self, slice_number: int, force_n: tuple[float, float], friction: gel.Friction) -> Slice:
         """Solve a slice of the pads for an object that hangs between them, or that something else carries.
 
         force_n: normal force at the start and the end of the slice.
         """
+        if self._drop is not None and slice_number == self._drops_at:
+            self._pads.catch(self._drop.mass_g * 1e-3, self._drop.speed_m_s)
         acceleration = self._hand.accelerate(slice_number)
         self.pulls = max(1.0 + acceleration / GRAVITY_M_S2, 0.0)
         weight_n = self._pads.carried_kg * (GRAVITY_M_S2 + acceleration)
         if self._kind == "lift":
             return self._advance_over_table(force_n, friction, weight_n)
-        load = self._held.load(slice_number)
-        if self._kind == "hold" and (load == 0.0 or self._held.fallen_m > self._floor_m):
+        load = self._load(slice_number)
+        if self._kind == "hold" and (load == 0.0 or self.fallen_m > self._floor_m):
             return self._pads.advance(force_n, friction, 0.0, 0.0)
-        return self._pads.advance(force_n, friction, weight_n * load + self._held.push_n(slice_number))
+        push_n = 0.0 if self._pushes is None else self._pushes.at(slice_number * STEP_S)
+        return self._pads.advance(force_n, friction, weight_n * load + push_n)
+
+    def _load(self, slice_number: int) -> float:
+        """Return the share of the weight on the gripper: handed over smoothly after the rest."""
+        done = (slice_number * STEP_S - self._time.rest_s) / max(self._time.load_s, STEP_S)
+        if done >= 1.0:
+            return 1.0
+        return float(0.5 - 0.5 * np.cos(np.pi * min(max(done, 0.0), 1.0)))
 
     def _advance_over_table(self, force_n: tuple[float, float], friction: gel.Friction, weight_n: float) -> Slice:
         """Solve a slice over the table: if the object would sink into the table, the table carries it.
@@ -174,7 +154,7 @@ class Support:
         """
         pads = self._pads
         self.table_m += self._hand.speed_m_s * STEP_S
-        speed, falling = (self.table_m - self._held.fallen_m) / STEP_S, pads.first.twist[pads.down]
+        speed, falling = (self.table_m - self.fallen_m) / STEP_S, pads.first.twist[pads.down]
         pads.remember()
         if self._on_table:
             done = pads.advance(force_n, friction, 0.0, speed)
@@ -186,7 +166,7 @@ class Support:
                 return done
             pads.rewind()
         done = pads.advance(force_n, friction, weight_n)
-        self._on_table = self._held.fallen_m > self.table_m
+        self._on_table = self.fallen_m > self.table_m
         if self._on_table:
             pads.rewind()
             done = pads.advance(force_n, friction, 0.0, speed)
@@ -198,8 +178,8 @@ class Support:
             return False
         gone = force_n <= 0.0
         if self._kind == "lift":
-            gone = gone and (fallen_m := self._held.fallen_m) > GONE_M and self.table_m - fallen_m > GONE_M
+            gone = gone and (fallen_m := self.fallen_m) > GONE_M and self.table_m - fallen_m > GONE_M
         else:
-            gone = gone or self._held.fallen_m > GONE_M
+            gone = gone or self.fallen_m > GONE_M
         self._lost_for = self._lost_for + 1 if gone else 0
-        return self._lost_for > self._after_lost_s / STEP_S
+        return self._lost_for > self._time.after_lost_s / STEP_S

@@ -127,6 +127,10 @@ class Pads:
         """Return the number of slices in which nothing has changed."""
         return self._slices.still_for
 
+    def solver_truth(self) -> dict[str, Any]:
+        """Return the resolution of the last slice, by schema path."""
+        return self._slices.truth()
+
     def press(self, finger: gripper.DriveState) -> None:
         """Compute each node's share of the normal force at a finger's position."""
         if finger.indentation_m != self._pressed_m:

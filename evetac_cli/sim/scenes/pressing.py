@@ -25,7 +25,6 @@ from evetac_cli.sim.scenes.gel_view import GelView
 from evetac_cli.sim.scenes.shared import (
     STEP_S,
     GelSlices,
-    SolverTruth,
     friction_after,
     friction_of,
     start_gel,
@@ -85,7 +84,6 @@ class Pressing:
         self._gel_slices = GelSlices(self._gel, solver, timer=timer)
         self._friction = friction_of(self.sampled)
         self._changes_at, self._changed = friction_after(self._scene.friction_change, self._friction)
-        self._steps = SolverTruth(self._gel)
         self.view = GelView(self.gel_camera, self._gel, solver.camera_substeps, timer)
         self._centre_m, self.timeline = self._plan_motion(mechanics)
         self._xy_m, self._hand_n = self.timeline.at(0.0)
@@ -167,7 +165,6 @@ class Pressing:
         if not still:
             self._xy_m, self._force_n = xy_m, force_n if self._covered > 0 else 0.0
             self._shear_n = done.friction_n[:2]
-            self._steps.follow(done, self._friction)
             self.view.press(self._depth_m())
             self.view.show(self._xy_m, 0.0)
         self.view.follow(self._shares, self._force_n, self._gel_slices.still_for)
@@ -205,7 +202,7 @@ class Pressing:
             "truth/object_xy_px": self.gel_camera.object_xy_px.astype(np.float32),
             "truth/normal_force_n": self._force_n,
             "truth/shear_force_n": self._shear_n,
-            **self._steps.rows(),
+            **self._gel_slices.truth(),
         }
 
 

@@ -196,26 +196,14 @@ class GelSlices:
             before.restore(state)
         return False
 
-
-class SolverTruth:
-    """Records the resolution of slices: steps, error, and whether the nodes resolve the slip that is unstable."""
-
-    def __init__(self, pad_state: gel.GelState) -> None:
-        self._gel = pad_state
-        self._friction: gel.Friction | None = None
-        self._last = Slice()
-
-    def follow(self, done: Slice, friction: gel.Friction) -> None:
-        """Store the steps of one slice."""
-        self._last, self._friction = done, friction
-
-    def rows(self) -> dict[str, Any]:
-        """Return the values of a slice for the recording, by schema path."""
-        half = math.inf
-        if self._friction is not None and self._last.slipping_force_n > 0.0:
-            half = gel.slip_half_wavelength_nodes(self._gel, self._friction, self._last.slipping_force_n)
+    def truth(self) -> dict[str, Any]:
+        """Return the steps and error of the last slice, and whether the nodes resolve unstable slip, by schema path."""
+        done, half = self._done, math.inf
+        if done.slipping_force_n > 0.0:
+            _, _, friction, *_ = self._acting
+            half = gel.slip_half_wavelength_nodes(self._gel, friction, done.slipping_force_n)
         return {
-            "truth/mechanical_steps": self._last.steps,
-            "truth/estimated_error_um": self._last.error_m * 1e6,
+            "truth/mechanical_steps": done.steps,
+            "truth/estimated_error_um": done.error_m * 1e6,
             "truth/slip_half_wavelength_nodes": half if math.isfinite(half) else math.nan,
         }

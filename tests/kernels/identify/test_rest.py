@@ -35,7 +35,7 @@ def test_intervals_hold_the_truth(sensors: int) -> None:
             frame_px=FRAME, noise_rate_hz=0.5, noise_on_share=0.4, hot_pixels=8, hot_rate_hz=(20.0, 200.0)
         )
         noise, state = identified(model, seed, 1500)
-        rates_hz = np.diff(state.hot_cumulative_hz)
+        rates_hz = np.diff(state.noise.hot_cumulative_hz)
         truth = {
             "noise_hz": 0.5,
             "noise_on_share": 0.4,
@@ -46,8 +46,8 @@ def test_intervals_hold_the_truth(sensors: int) -> None:
             estimate = getattr(noise, name)
             held[name] += estimate.low <= value <= estimate.high
         listed = dict(zip((noise.table.y_px * FRAME[0] + noise.table.x_px).tolist(), range(8), strict=False))
-        assert set(listed) == set(state.hot_pixel.tolist())
-        for pixel, rate_hz in zip(state.hot_pixel.tolist(), rates_hz, strict=True):
+        assert set(listed) == set(state.noise.hot_pixel.tolist())
+        for pixel, rate_hz in zip(state.noise.hot_pixel.tolist(), rates_hz, strict=True):
             place = listed[pixel]
             pixels += 1
             pixels_held += noise.table.low_hz[place] <= rate_hz + 0.5 <= noise.table.high_hz[place]

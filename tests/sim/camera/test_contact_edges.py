@@ -109,7 +109,7 @@ def picture(state: CameraState, motion: Motion, k: int, part: float) -> NDArray[
     """Dots or texture, and lines, of the whole frame."""
     dots, object_xy_px, where = between(motion, k, part)
     level = optics.gel_level(FRAME, dots, state.profile).astype(float)
-    if state.window_level.size:
+    if state.window_reference.size:
         x0, y0, x1, y1 = STRIP
         level[y0:y1, x0:x1] = texture_level(TEXTURE, (y1 - y0, x1 - x0), (x0, y0), object_xy_px)
     return level + lines_level(where)
@@ -118,7 +118,7 @@ def picture(state: CameraState, motion: Motion, k: int, part: float) -> NDArray[
 def references(state: CameraState, motion: Motion) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Absolute references and thresholds of all pixels when the camera is switched on."""
     reference, threshold = state.reference.astype(float), state.threshold.astype(float)
-    if state.window_level.size:
+    if state.window_reference.size:
         x0, y0, x1, y1 = STRIP
         strip = texture_level(TEXTURE, (y1 - y0, x1 - x0), (x0, y0), STILL)
         reference[y0:y1, x0:x1] = state.window_reference + strip

@@ -318,9 +318,9 @@ def test_what_just_holds_follows_the_hand_and_the_weight() -> None:
         assert world_.holding_n == pytest.approx(rest_n, rel=1e-6)
     assert world_.truth()["truth/holding_force_n"] == world_.holding_n >= rest_n * (1 - 1e-6)
     before_n, before_kg = world_.holding_n, world_.pads.carried_kg
-    world_.support.pulls = 1.1
+    world_.held.pulls = 1.1
     assert world_.holding_n == pytest.approx(1.1 * before_n)
-    world_.support.pulls = 1.0
+    world_.held.pulls = 1.0
     world_.pads.catch(0.1, 1.0)
     assert world_.pads.carried_kg == pytest.approx(before_kg + 0.1)
     assert world_.holding_n > before_n

@@ -65,7 +65,7 @@ def test_sensor_is_the_same_in_every_trial(name: str) -> None:
     one, other = (gel_camera(sensor, cut=True, seed=seed) for seed in (1, 2))
     assert (one.grid_xy_px == other.grid_xy_px).all()
     assert (one._camera.threshold == other._camera.threshold).all()
-    assert (one._camera.hot_pixel == other._camera.hot_pixel).all()
+    assert (one._camera.noise.hot_pixel == other._camera.noise.hot_pixel).all()
     assert (one._camera.reference != other._camera.reference).any()
     assert one.grid_xy_px.shape == (7, 8, 2)
     assert gel_camera(sensor, cut=False, seed=1).grid_xy_px.shape == (7, 9, 2)

@@ -113,10 +113,8 @@ class CameraState:
     texture: NDArray[np.float32]
     window_reference: NDArray[np.float32]
     window_threshold: NDArray[np.float32]
-    window_level: NDArray[np.float32]  # scratch
     seen_object: NDArray[np.float64]  # x, y in px, contrast; NaN before the first slice
-    hot_pixel: NDArray[np.int64]  # y * width + x
-    hot_cumulative_hz: NDArray[np.float64]  # summed rates before each hot pixel, and of all
+    noise: Noise
     readout_us: NDArray[np.int64]  # (scans, width): time in the slice at which a column is read
     keys: NDArray[np.int64]  # as long as a slice may be, so nothing grows; memory is used only as far as it is written
     # Time until which a pixel is blind. Rows are empty without a refractory period that is longer than a scan.
@@ -137,12 +135,9 @@ class CameraState:
     # The arrays above as plain tuples in the order of GelPixels and WindowPixels, as compiled code takes them:
     gel: tuple[Any, ...] = field(init=False, repr=False)
     window: tuple[Any, ...] = field(init=False, repr=False)
-    noise: Noise = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Group the arrays once."""
-        hot = (self.hot_pixel, self.hot_cumulative_hz)
-        self.noise = Noise(self.model.noise_rate_hz, *hot, self.model.noise_on_share, self.model.timestamp_step_us)
         self.gel = (
             self.seen_dot_xy_px,
             tuple(self.profile),
@@ -227,10 +222,14 @@ def start(
         texture=pattern,
         window_reference=window_reference,
         window_threshold=window_threshold,
-        window_level=np.zeros_like(window_reference),
         seen_object=np.full(3, np.nan),
-        hot_pixel=built.choice(width * height, model.hot_pixels, replace=False),
-        hot_cumulative_hz=np.append(0.0, np.cumsum(hot_rates(model.hot_rate_hz, model.hot_pixels, built))),
+        noise=Noise(
+            model.noise_rate_hz,
+            built.choice(width * height, model.hot_pixels, replace=False),
+            np.append(0.0, np.cumsum(hot_rates(model.hot_rate_hz, model.hot_pixels, built))),
+            model.noise_on_share,
+            model.timestamp_step_us,
+        ),
         readout_us=columns * SLICE_US // columns.size,
         keys=np.empty(model.max_events, np.int64),
         release_us=np.zeros((height, width if blind else 0)),

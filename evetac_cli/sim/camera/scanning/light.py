@@ -27,7 +27,6 @@ from evetac_cli.kernels.compiled import njit
 from evetac_cli.sim.camera import dot_rings, optics
 from evetac_cli.sim.camera.contact_edges import LineMotion
 from evetac_cli.sim.camera.leak import LEAK_SLICES
-from evetac_cli.sim.camera.optics import differing_row
 from evetac_cli.sim.camera.readout import event_key
 from evetac_cli.sim.camera.scanning.pixel_culling import RESOLUTION_PX
 from evetac_cli.sim.camera.scanning.pixels import (
@@ -161,6 +160,7 @@ def _shine(
     gel, window = gel_pixels(gel_arrays), window_pixels(window_arrays)
     low, high, row_low, row_high, window_low, window_high, seen_object = bounds
     inner, outer, steps_per_px, profile = gel.profile
+    ink = (inner, outer, steps_per_px, profile, gel.shapes.inner_px, gel.shapes.outer_px, gel.shapes.level)
     reference, threshold, release_us = gel.reference, gel.threshold, gel.release_us
     middle_shift = gel.middle_shift
     line = gel.candidates.line
@@ -177,11 +177,7 @@ def _shine(
             if not low[row, run] < light < high[row, run]:
                 first_run, end_run = min(first_run, run), run + 1
         left, right = first_run * RUN_PX, min(end_run * RUN_PX, width)
-        if len(gel.shapes.inner_px):
-            shapes = (gel.shapes.inner_px, gel.shapes.outer_px, steps_per_px, gel.shapes.level)
-            differing_row(gel.seen_dot_xy_px, *shapes, row, left, right, line)
-        else:
-            optics.dot_row(gel.seen_dot_xy_px, inner, outer, steps_per_px, profile, row, left, right, line)
+        optics.dot_row(gel.seen_dot_xy_px, *ink, row, left, right, line)
         before = event_count
         row_low[row] = -np.inf
         row_high[row] = np.inf

@@ -29,7 +29,6 @@ from evetac_cli.sim.camera.contact_edges import (
     sample_cut,
     sample_row,
 )
-from evetac_cli.sim.camera.optics import differing_row
 from evetac_cli.sim.camera.scanning.dots import at_scans, scan_dots
 from evetac_cli.sim.camera.scanning.outline import compare_outline, draw_dots, shift_outline
 from evetac_cli.sim.camera.scanning.pixels import RUN_PX, ZERO, ScanTimes, gel_pixels, line_motion, window_pixels
@@ -403,25 +402,23 @@ def _compare_across(
 
     `dot_xy` and `ink` describe the image of both, `pixels` their state; `row_xy` and `line` are scratch.
     """
-    inner, outer, steps_per_px, profile, (own_inner, own_outer, own_level), texture, place = ink
+    inner, outer, steps_per_px, profile, own_shapes, texture, place = ink
     reference, threshold, middle_shift, release_us, lower2, first_x, first_y = pixels[:7]
     window_reference, window_threshold, window_middle_shift, window_release_us, due_at, row_due_at = pixels[7:]
     window_rows, window_columns = window_reference.shape
     for row in range(first_row, end_row):
         if runs[row, 0] >= runs[row, 1] and runs[row, 2] >= runs[row, 3]:
             continue
-        in_row = _dots_in_row(dot_xy, row, outer, row_xy)
+        seen_xy = dot_xy  # a dot's own shape is found by its number
+        if not len(own_shapes[0]):
+            seen_xy = row_xy[: _dots_in_row(dot_xy, row, outer, row_xy)]
         own = row - first_y
         for side in range(2):
             first = runs[row, 2 * side]
             end = runs[row, 2 * side + 1]
             if first >= end:
                 continue
-            if len(own_inner):
-                own_shapes = (own_inner, own_outer, steps_per_px, own_level)
-                differing_row(dot_xy, *own_shapes, row, first, end, line)
-            else:
-                optics.dot_row(row_xy[:in_row], inner, outer, steps_per_px, profile, row, first, end, line)
+            optics.dot_row(seen_xy, inner, outer, steps_per_px, profile, *own_shapes, row, first, end, line)
             event_count = compare_row(
                 line,
                 reference,

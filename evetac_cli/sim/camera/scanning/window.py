@@ -74,7 +74,24 @@ def scan_window(
         when = (readout_us[scan], now_us, refractory_us)
         # Below, arguments are passed one by one: with tuples for each row, a row took 1.6 times as long.
         if fast:  # runs that were not due remain valid: they have not fired
-            event_count = _compare_all(texture, place, *pixels, (first_x, first_y), *when, line, keys, event_count)
+            for row in range(rows):
+                optics.sample_texture_run(texture, place, row, ZERO, columns, line)
+                event_count = compare_row(
+                    line,
+                    reference,
+                    threshold,
+                    middle_shift,
+                    release_us,
+                    row,
+                    ZERO,
+                    columns,
+                    (first_x, first_y),
+                    readout_us[scan],
+                    now_us,
+                    refractory_us,
+                    keys,
+                    event_count,
+                )
             continue
         for row in range(rows):
             if travelled >= candidate_runs.row_due_at[row]:
@@ -93,45 +110,6 @@ def scan_window(
                     travelled,
                     rounding,
                 )
-    return event_count
-
-
-@njit(cache=True, _nrt=False)
-def _compare_all(
-    texture: NDArray[np.float32],
-    place: optics.TexturePlace,
-    reference: NDArray[np.float32],
-    threshold: NDArray[np.float32],
-    middle_shift: NDArray[np.float32],
-    release_us: NDArray[np.float64],
-    corner: tuple[int, int],
-    readout_us: NDArray[np.int64],
-    now_us: float,
-    refractory_us: float,
-    line: NDArray[np.float32],
-    keys: NDArray[np.int64],
-    event_count: int,
-) -> int:
-    """Compare all pixels of a window in one scan with the texture at a position; `line` is scratch for a row."""
-    rows, columns = reference.shape
-    for row in range(rows):
-        optics.sample_texture_run(texture, place, row, ZERO, columns, line)
-        event_count = compare_row(
-            line,
-            reference,
-            threshold,
-            middle_shift,
-            release_us,
-            row,
-            ZERO,
-            columns,
-            corner,
-            readout_us,
-            now_us,
-            refractory_us,
-            keys,
-            event_count,
-        )
     return event_count
 
 

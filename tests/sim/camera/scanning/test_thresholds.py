@@ -82,7 +82,7 @@ def test_thresholds_are_drawn_independently() -> None:
     assert abs(np.corrcoef(on.ravel(), off.ravel())[0, 1]) < 0.05
     one = start(dataclasses.replace(APART, hot_pixels=50, threshold_off=None))
     np.testing.assert_allclose(one.threshold, on, rtol=1e-6)
-    np.testing.assert_array_equal(one.hot_pixel, state.hot_pixel)
+    np.testing.assert_array_equal(one.noise.hot_pixel, state.noise.hot_pixel)
     assert one.middle_shift.size == 0
 
 
