@@ -132,13 +132,13 @@ class HeldObject:
         weight_n = self._pads.carried_kg * (GRAVITY_M_S2 + acceleration)
         if self._kind == "lift":
             return self._advance_over_table(force_n, friction, weight_n)
-        load = self._load(slice_number)
+        load = self.load(slice_number)
         if self._kind == "hold" and (load == 0.0 or self.fallen_m > self._floor_m):
             return self._pads.advance(force_n, friction, 0.0, 0.0)
         push_n = 0.0 if self._pushes is None else self._pushes.at(slice_number * STEP_S)
         return self._pads.advance(force_n, friction, weight_n * load + push_n)
 
-    def _load(self, slice_number: int) -> float:
+    def load(self, slice_number: int) -> float:
         """Return the share of the weight on the gripper: handed over smoothly after the rest."""
         done = (slice_number * STEP_S - self._time.rest_s) / max(self._time.load_s, STEP_S)
         if done >= 1.0:
