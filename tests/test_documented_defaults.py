@@ -16,6 +16,7 @@ import pytest
 from evetac_cli import resources
 from evetac_cli.cli import flags
 from evetac_cli.commands import every
+from evetac_cli.commands.train import FALSE_ALARMS_PER_MIN, LEAST_MINUTES
 from evetac_cli.devices.dvxplorer.protocol import DvxplorerSettings
 from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
 from evetac_cli.evaluate import SUBJECTS
@@ -27,7 +28,6 @@ from evetac_cli.sim.setup.plan import HIGHEST_TONE_HZ
 from evetac_cli.sim.setup.scene import LIFT_PITCH_MM, Solver
 from evetac_cli.stages import train, trim
 from evetac_cli.stages.identify import gripper_rows
-from evetac_cli.stages.train import validating
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.read import RATE_HZ
 from evetac_cli.trials import trial
@@ -78,7 +78,7 @@ DOCUMENTED: dict[tuple[str, str], Callable[[], str]] = {
     ("train", "preset"): lambda: f"{train.USUAL.preset}; with --adapt, always adamw with small steps",
     ("train", "max_steps"): lambda: f"{train.USUAL.max_steps}, or {train.ADAPT_STEPS} with --adapt",
     ("train", "false_alarms_per_min"): lambda: (
-        f"{validating.FALSE_ALARMS_PER_MIN:g}; with preset paper, or with less than {validating.LEAST_MINUTES:g}"
+        f"{FALSE_ALARMS_PER_MIN:g}; with preset paper, or with less than {LEAST_MINUTES:g}"
         " minutes to count in, the paper's rule"
     ),
     ("train", "networks"): lambda: f"{train.USUAL.networks}, or as many as the model of --adapt",

@@ -39,6 +39,11 @@ FRESH = 0.75
 RECORDER_MS = 75.0
 # limit for a recorder that waits for a core: the detector buffers 64 MB, 5 s at a million events per s
 RECORDER_LATE_MS = 5000.0
+# code that commands a gripper hangs after this long without a sign of life, or after HANGS_WATCHDOGS watchdog times if
+# longer
+HANGS_S = 0.5
+HANGS_WATCHDOGS = 4
+OPENING_S = 2.0  # extra time while it opens the gripper
 LOST = "capture/lost/"
 # half a minute of joining, which another Ctrl-C ends; larger recordings are left to repair
 JOINED_AT_ONCE_EVENTS = 300_000_000

@@ -1,7 +1,7 @@
 """Trials: the recordings that `record` and `grasp` make, their sources and their seeds.
 
-A trial is a job of one of three types. It runs in a simulated scene as fast as that is computed, with devices in real
-time (real, or virtual with a simulated scene), or on a replayed recording.
+A trial runs in a simulated scene as fast as that is computed (SimulatedTrial), with devices in real time, real or
+virtual (DeviceTrial), or as a grasp on a replayed recording (ReplayGrasp).
 """
 
 import math
@@ -115,18 +115,6 @@ class DeviceTrial(Trial):
         return self.cameras[0].shows_simulation()
 
 
-@dataclass(frozen=True)
-class ReplayTrial(Trial):
-    """A trial on a recording, without motion; for a grasp with two fingers, on the recordings of both."""
-
-    camera: NamedCamera
-
-
-def view_of(params: Trials) -> ViewRequest | None:
-    """Return how the trials are shown, or None if the flags do not request it."""
-    return ViewRequest() if params.shown else None
-
-
 def simulated_trials(
     kinds: tuple[str, ...],
     params: Trials,
@@ -142,7 +130,7 @@ def simulated_trials(
     -<name>][-<tone>hz][-<finger of two>]-s<seed>-<trial>.recording.h5.
     """
     trials = []
-    view = view_of(params)
+    view = ViewRequest() if params.shown else None
     sensor, second = _sensors(params.sensor, fingers)
     plan_options = (params.scene, params.objects, sensor, kinds, params.gel, tones)
     for one in plans(*plan_options, solver=params.solver(), texture=params.texture):
@@ -203,7 +191,7 @@ def device_trials(
     return [
         DeviceTrial(
             *(inputs, files[0], number, params.seed, plan, cameras, gripper, files, tuple(outputs), taken),
-            view=view_of(params),
+            view=ViewRequest() if params.shown else None,
         )
         for (number, plan), files in zip(numbered, outputs, strict=True)
     ]

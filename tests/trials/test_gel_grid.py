@@ -13,7 +13,7 @@ from evetac_cli.sim.setup.scene import LIFT_PITCH_MM, Solver
 from evetac_cli.store.recordings.slip_grid import FEWEST_NODES
 from evetac_cli.trials import grasp
 from evetac_cli.trials.grasp.settings import SimulatedGrasp
-from evetac_cli.trials.grasp.simulated import make_recipe
+from evetac_cli.trials.grasp.simulated import recipes
 from evetac_cli.trials.part_costs import for_people
 from evetac_cli.trials.trial import FINEST_MM, GRIP, Trial, nodes_of_slip
 
@@ -49,7 +49,7 @@ def test_the_coarsest_grid_that_resolves_slip_is_chosen() -> None:
 def test_a_grid_that_suffices_or_cannot_be_mended_is_kept(object_: str) -> None:
     """Assert the usual grid, and so the recipe, of an object whose slip it resolves, and of one that none resolves."""
     (trial,), (named,) = grasps(objects=object_), grasps(objects=object_, node_pitch_mm=LIFT_PITCH_MM)
-    assert make_recipe(trial).id == make_recipe(named).id
+    assert recipes(trial)[0].id == recipes(named)[0].id
     assert (nodes_of_slip(trial) < FEWEST_NODES) == (object_ == "18")
     assert not grasp.cautions([trial], Grasp())
 
@@ -72,7 +72,7 @@ def test_a_stated_grid_wins(tmp_path: Path) -> None:
     pitch_mm = solver(chosen).node_pitch_mm
     assert pitch_mm < LIFT_PITCH_MM
     (named,) = grasps(objects="11", scene=str(free), node_pitch_mm=pitch_mm)
-    assert make_recipe(chosen).id == make_recipe(named).id
+    assert recipes(chosen)[0].id == recipes(named)[0].id
 
 
 def test_virtual_devices_keep_the_usual_grid() -> None:

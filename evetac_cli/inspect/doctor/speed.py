@@ -130,6 +130,7 @@ class Computer:
 
         Files are written into a temporary folder in `folder`, which is removed; InputError or OSError if that fails.
         """
+        from evetac_cli.sim.setup import scene_file
         from evetac_cli.trials import grasp
         from evetac_cli.trials.grasp import real_time
         from evetac_cli.trials.grasp.settings import DeviceGrasp
@@ -140,7 +141,7 @@ class Computer:
         with tempfile.TemporaryDirectory(dir=folder, prefix=".speed-") as temporary:
             grid = Path(temporary) / "grid.json"
             grid.write_text(json.dumps(GRID))
-            half_s = (seconds - real_time.TOUCH_S) / 2
+            half_s = (seconds - scene_file.load(Grasp.scene).time.touch_s) / 2
             params = Grasp(
                 camera=f"virtual:prepared={events_per_s}",
                 gripper="virtual",

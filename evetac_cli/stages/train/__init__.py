@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.commands.parameter import recipe_of
-from evetac_cli.commands.train import Train
+from evetac_cli.commands.train import LEAST_MINUTES, Train
 from evetac_cli.errors import InputError, made_by
 from evetac_cli.jobs import Job, Outcome, Progress, Stage, outcome, silent
 from evetac_cli.kernels.calibration import grid
@@ -170,11 +170,11 @@ def _few(validated_on: int) -> str:
 
 def _short(minutes: float) -> str:
     """Return a note if false alarms are counted in too short a time to choose a threshold; otherwise an empty text."""
-    if minutes >= validating.LEAST_MINUTES:
+    if minutes >= LEAST_MINUTES:
         return ""
     return (
         f"false alarms are counted in {minutes:.1f} minutes without slip, which is too short to measure their rate; add"
-        f" at least {validating.LEAST_MINUTES:g} minutes to --validate in which fingers open or push and nothing slips"
+        f" at least {LEAST_MINUTES:g} minutes to --validate in which fingers open or push and nothing slips"
     )
 
 

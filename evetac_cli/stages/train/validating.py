@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from evetac_cli.commands.train import FALSE_ALARMS_PER_MIN, LEAST_MINUTES
 from evetac_cli.errors import InputError
 from evetac_cli.kernels.slip import alarms, metrics, reliability
 from evetac_cli.kernels.slip.alarms import WarningCurve
@@ -22,12 +23,6 @@ from evetac_cli.kernels.slip.reliability import OddsScale
 
 if TYPE_CHECKING:  # torch takes more than a second to import
     from evetac_cli.kernels.slip.training import Preset
-
-LEAST_MINUTES = 5.0  # without slip, to choose a threshold: with fewer, 1 alarm per minute is less than five alarms
-# Default rate. A false alarm costs a controller little, since it checks the load first; a late warning costs more.
-# The rate was chosen on one detector by the share of its validation slips with a warning 10 ms ahead. The share is
-# 0.22 with 1 per minute, 0.62 with 2, 0.74 with 4, 0.78 with 6 (simulated, seeds 5600 to 5623).
-FALSE_ALARMS_PER_MIN = 4.0
 
 
 @dataclass(frozen=True)

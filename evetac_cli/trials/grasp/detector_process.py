@@ -80,6 +80,7 @@ class SliceBatch:
     at_us: list[float] = field(default_factory=list)  # when the slice was evaluated
     late_us: list[float] = field(default_factory=list)  # time from the end of a slice until its evaluation, if known
     counted: Mapping[str, int] | None = None  # losses of the camera so far, by reason; only now and then
+    finger: int = 0
 
     def add(self, events: int, probability: float, at_us: float, late_us: float) -> None:
         """Add what is known of a slice, but for its events."""
@@ -246,7 +247,7 @@ class DetectorLoop:
         slips = slices = 0
         moves = False
         held: list[Events] = []
-        batch = SliceBatch()
+        batch = SliceBatch(finger=self.finger)
         while slices < self.most and not self.status.stopping:
             raise_if_ended("the detector", self.ending)
             events = self.camera.read()
@@ -274,7 +275,7 @@ class DetectorLoop:
                     batch.counted = dict(self.camera.counted)
                 self.meter.add(len(batch.counts))
                 _hand_over(self.outbox, batch, held)
-                held, batch = [], SliceBatch()
+                held, batch = [], SliceBatch(finger=self.finger)
                 if os.getppid() != parent:
                     return
         _hand_over(self.outbox, batch, held)

@@ -23,14 +23,11 @@ from evetac_cli.realtime.shared_status import SharedStatus
 from evetac_cli.trials.grasp import controller_process, detector_process
 from evetac_cli.trials.grasp.controller_process import ControllerEnded, ControllerSettings, GripperReady
 from evetac_cli.trials.grasp.detector_process import CameraReady, DetectorEnded, DetectorSettings
+from evetac_cli.trials.session import HANGS_S, HANGS_WATCHDOGS, OPENING_S
 
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.world import VirtualWorld
 
-# a controller is killed after this long without a sign of life, or after HANGS_WATCHDOGS watchdog times if longer
-HANGS_S = 0.5
-HANGS_WATCHDOGS = 4
-OPENING_S = 2.0  # extra time while it opens the gripper
 LOAD_S = 120.0  # limit for detector and controller to be ready, including compilation
 OPEN_S = 30.0  # limit for the camera to run
 END_S = 3.0

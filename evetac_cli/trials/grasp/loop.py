@@ -114,27 +114,10 @@ def grasp_slices(
             if detector is not None:
                 detector.tell_gripper(reading.position_ticks, goal)
             rows |= control_row(control, phase, signal, reading, goal, devices.camera.now_us())
+        if isinstance(detector, TwoFingers):
+            rows["control/second_probability"] = detector.second_probability
         yield events, rows
         slice_ += 1
-
-
-def run_grasp(
-    devices: Rig,
-    detector: SliceDetector | None,
-    control: Control,
-    timing: Timing,
-    append: Callable[[Events, dict[str, Any]], None],
-    progress: Callable[[int], None],
-    timer: Timer = untimed,
-) -> int:
-    """Pass each slice of a grasp and its rows to `append` until the scene has ended; return their number."""
-    slices = 0
-    for events, rows in grasp_slices(devices, detector, control, timing, timer):
-        append(events, rows)
-        slices += 1
-        if slices % 100 == 0:
-            progress(slices)
-    return slices
 
 
 class TwoFingers:
@@ -190,18 +173,6 @@ class TwoFingers:
         self._seen(events)
         if self._second is not None:
             self.second_probability = self._second.step(events)
-
-    def recorded_by(self, append: Callable[[Events, dict[str, Any]], None]) -> Callable[[Events, dict[str, Any]], None]:
-        """Return a function that adds the second detector's probability to the first finger's rows.
-
-        It then calls `append` with the events and the rows.
-        """
-
-        def both(events: Events, rows: dict[str, Any]) -> None:
-            rows["control/second_probability"] = self.second_probability
-            append(events, rows)
-
-        return both
 
     def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:
         """Pass on the position read in a controller step, and the goal that the step set."""

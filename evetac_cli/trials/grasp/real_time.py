@@ -45,7 +45,7 @@ from evetac_cli.trials.grasp.recorded_grasp import RecordedGrasp, result_of
 from evetac_cli.trials.grasp.recorder import PRIORITY as WATCHING_PRIORITY
 from evetac_cli.trials.grasp.recorder import GraspRecorder
 from evetac_cli.trials.grasp.settings import DeviceGrasp, GraspSettings, ReplayGrasp
-from evetac_cli.trials.trial import ReplayTrial, device_trials
+from evetac_cli.trials.trial import device_trials
 
 if TYPE_CHECKING:
     from evetac_cli.devices.virtual.gripper import VirtualGripper
@@ -54,7 +54,6 @@ if TYPE_CHECKING:
 
 METHOD = 4  # method version of grasps in real time
 KINDS = ("lift",)  # kinds of scenes for grasps
-TOUCH_S = 1.5  # duration of the contact without a scene: that of the scene lift
 WATCHDOG_MS = 60  # default
 UNTIL_STOPPED = 2**62  # a number of slices that is never reached
 EVENTS_S = 500_000  # event rate that the disk must have room for
@@ -71,8 +70,8 @@ def jobs(
     cameras: tuple[NamedCamera, ...], gripper: NamedGripper, params: Grasp, settings: GraspSettings, out: Path | None
 ) -> Sequence[DeviceGrasp | ReplayGrasp]:
     """Return one job per trial; InputError for what is impossible, or not allowed without --arm."""
-    has_scene = cameras[0].has(Capability.SCENE)
-    touch_s = scene_file.load_of_kind(params.scene, KINDS).time.touch_s if has_scene else TOUCH_S
+    scene = params.scene if cameras[0].has(Capability.SCENE) else Grasp.scene
+    touch_s = scene_file.load_of_kind(scene, KINDS).time.touch_s
     watchdog_ms = WATCHDOG_MS if params.watchdog_ms is None else params.watchdog_ms
     driver = _driver(params, gripper, watchdog_ms)
     timing = settings.timing(touch_s)
@@ -86,12 +85,7 @@ def jobs(
     trials = device_trials(KINDS, cameras[:1] if replayed else cameras, gripper, params, out, prefix="grasp-")
     if replayed:
         files = tuple(path for camera in cameras for path in camera.files)
-        return [
-            replay.grasp_of(
-                ReplayTrial(files, each.output, each.number, each.seed, None, cameras[0]), settings, touch_s
-            )
-            for each in trials
-        ]
+        return [replay.grasp_of(each, files, settings, touch_s) for each in trials]
     frames_px = [] if params.calibration is None else [camera.frame_px() for camera in cameras]
     calibrations = read_calibrations(params.calibration, frames_px)
     view = settings.view(params)
@@ -258,9 +252,10 @@ def _process_settings(
 ) -> tuple[list[DetectorSettings], ControllerSettings]:
     """Return the settings of the detectors and of the controller."""
     settings, timing, seeds = trial.settings, trial.timing, trial.seeds()
+    of_finger = seeds, np.random.SeedSequence(seeds.entropy, spawn_key=(1,))  # of the prepared words of its camera
     detectors = [
         DetectorSettings(
-            *(camera, _seeds_of(seeds, finger), sensors[finger], settings.detector),
+            *(camera, of_finger[finger], sensors[finger], settings.detector),
             *(UNTIL_STOPPED if finger else timing.end_ms, finger),
         )
         for finger, camera in enumerate(trial.cameras)
@@ -287,14 +282,25 @@ def _begin_files(
     sensors: Sequence[Mapping[str, Any]],
     parents: tuple[Header, ...],
 ) -> tuple[list[RecordingWriter], list[Recipe]]:
-    """Begin a file per finger; return their writers and recipes. described: the gripper, for the first file."""
+    """Begin a file per finger; return their writers and recipes, whose content digests replace the rest at the end.
+
+    described: the gripper, for the first file; parents: headers of the model and of replayed recordings, read earlier
+    because reading is slow and the camera now runs.
+    """
     writers, recipes = [], []
-    shared = {} if len(cameras) == 1 else {"trajectory": uuid4().hex}
+    parameters = trial.settings.parameters(trial)
+    if len(cameras) > 1:
+        parameters["trajectory"] = uuid4().hex
     for finger, ready in enumerate(cameras):
         sensor = {**ready.sensor, **sensors[finger], **NO_OFFSET}
         devices = {"camera": dict(ready.setup), **({} if finger else described)}
-        recipes.append(_recipe(trial, devices, sensor, parents, shared))
-        writers.append(RecordingWriter(trial.outputs[finger], sensor, recipe=recipes[finger]))
+        recipe = session.make_recipe(
+            *(METHOD, parameters, devices, sensor, {"watchdog_ms": trial.watchdog_ms}),
+            parents=parents,
+            simulated=trial.cameras[0].has(Capability.SIMULATED),
+        )
+        recipes.append(recipe)
+        writers.append(RecordingWriter(trial.outputs[finger], sensor, recipe=recipe))
     return writers, recipes
 
 
@@ -310,11 +316,6 @@ def _record(recorder: GraspRecorder, gripper: NamedGripper) -> RecordedGrasp:
         recorder.processes.close()
         console.say(f"{gripper}: {recorder.processes.torque_words()}")
         raise session.with_hint(error, recorder.writers[0]) from None
-
-
-def _seeds_of(seeds: np.random.SeedSequence, finger: int) -> np.random.SeedSequence:
-    """Return the seeds of the prepared words of a finger's camera."""
-    return np.random.SeedSequence(seeds.entropy, spawn_key=(finger,)) if finger else seeds
 
 
 def _sensor(trial: DeviceGrasp, world: "VirtualWorld | None", finger: int) -> dict[str, Any]:
@@ -335,29 +336,6 @@ def _sensor(trial: DeviceGrasp, world: "VirtualWorld | None", finger: int) -> di
             hint=MAKE_GRID,
         )
     return dict(sensor)
-
-
-def _recipe(
-    trial: DeviceGrasp,
-    described: Mapping[str, Any],
-    sensor: Mapping[str, Any],
-    parents: tuple[Header, ...],
-    shared: Mapping[str, str],
-) -> Recipe:
-    """Return the recipe of a grasp as known beforehand; its content digest replaces the rest.
-
-    parents: headers of the model and of replayed recordings, read earlier because reading is slow and the camera now
-    runs. shared: parameters common to the files of one grasp.
-    """
-    return session.make_recipe(
-        METHOD,
-        {**trial.settings.parameters(trial), **shared},
-        described,
-        sensor,
-        {"watchdog_ms": trial.watchdog_ms},
-        parents=parents,
-        simulated=trial.cameras[0].has(Capability.SIMULATED),
-    )
 
 
 def _finish(

@@ -20,7 +20,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from evetac_cli.realtime.emergency_key import EmergencyKey
 from evetac_cli.realtime.processes import raised_priority, set_niceness
@@ -42,12 +42,6 @@ STOP_S = 0.05  # how long a robot's `stop` waits for the current slice: torque m
 SWITCH_S = 5e-4  # after this time the writing thread yields to the loop
 MOST_BYTES = 192 << 20  # limit of waiting data: at 13 bytes per event, 15 s at a million events per s
 WAIT_S = 0.1  # interval at which to check whether the main thread was interrupted
-
-
-class OfSecond(NamedTuple):
-    """Slices of the second finger that wait to be written."""
-
-    batch: SliceBatch
 
 
 @dataclass(eq=False)
@@ -91,13 +85,13 @@ class GraspRecorder:
         return self._recorded
 
     def _write(self, message: Any) -> None:
-        if isinstance(message, SliceBatch):
+        if not isinstance(message, SliceBatch):
+            self._recorded.take_steps(message, self.writers[0], self.view)
+        elif message.finger:
+            self._recorded.take_second(message, self.writers[1], self.processes.now_s())
+        else:
             self._recorded.take_slices(message, self.writers[0], self.processes.now_s(), self.view)
             self._write_marks()
-        elif isinstance(message, OfSecond):
-            self._recorded.take_second(message.batch, self.writers[1], self.processes.now_s())
-        else:
-            self._recorded.take_steps(message, self.writers[0], self.view)
 
     def _write_marks(self, *, last: bool = False) -> None:
         for row in () if self.requests is None else self.requests.marked(last=last):
@@ -145,11 +139,9 @@ class GraspRecorder:
             for message in inbox.take():
                 if not isinstance(message, SliceBatch):
                     finger.detector = message
-                elif finger is recorded:
-                    self._received += len(message.counts)
-                    writing.put(message, message.size)
-                else:
-                    writing.put(OfSecond(message), message.size)
+                    continue
+                self._received += len(message.counts) if finger is recorded else 0
+                writing.put(message, message.size)
         for message in processes.steps.take():
             if isinstance(message, list):
                 writing.put(message)

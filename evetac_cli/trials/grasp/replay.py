@@ -31,7 +31,7 @@ from evetac_cli.store.recordings.trial_writer import TrialBuffer
 from evetac_cli.trials.grasp.loop import TwoFingers, grasp_slices
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.trials.grasp.settings import GraspSettings, ReplayGrasp
-from evetac_cli.trials.trial import OUTPUT, ReplayTrial
+from evetac_cli.trials.trial import OUTPUT, DeviceTrial
 
 METHOD = 3
 OFFSET = "capture/clock_offset_us"
@@ -70,20 +70,20 @@ class RecordedGripper:
         """Do nothing: the caller closes the recording."""
 
 
-def grasp_of(trial: ReplayTrial, settings: GraspSettings, touch_s: float) -> ReplayGrasp:
-    """Return the grasp on a recording; InputError if the recording cannot be read.
+def grasp_of(trial: DeviceTrial, files: tuple[Path, ...], settings: GraspSettings, touch_s: float) -> ReplayGrasp:
+    """Return the grasp on the recordings of one or two fingers; InputError if one cannot be read.
 
     Its phases are those of the recording, if it is a grasp, otherwise those of the flags after a touch of `touch_s`.
     """
-    with open_recording(trial.inputs[0]) as recording:
+    with open_recording(files[0]) as recording:
         parameters = recording.header["parameters"]
-        if len(trial.inputs) > 1:
-            _refuse_another_grasp(recording, trial.inputs[1])
+        if len(files) > 1:
+            _refuse_another_grasp(recording, files[1])
     timing = settings.timing(touch_s)
     if {"scene", "lift_s", "balance_s"} <= set(parameters):
-        touch_s = read_plan(parameters, str(trial.inputs[0])).scene.time.touch_s
-        timing = settings.timing_with(touch_s, parameters["lift_s"], parameters["balance_s"])
-    return ReplayGrasp(**vars(trial), settings=settings, timing=timing)
+        touch_s = read_plan(parameters, str(files[0])).scene.time.touch_s
+        timing = settings.timing(touch_s, parameters["lift_s"], parameters["balance_s"])
+    return ReplayGrasp(files, trial.output, trial.number, trial.seed, None, trial.cameras[0], settings, timing)
 
 
 def _refuse_another_grasp(first: Recording, path: Path) -> None:
@@ -151,19 +151,17 @@ def run(trial: ReplayGrasp, *, force: bool, progress: Progress) -> Outcome:
             _refuse_unknown_dots(trial, each)
         recording, *others = recordings
         sensor = {**recording.sensor_datasets(), "t_offset": recording.read("t_offset")}
-        detector: OnlineSlipDetector | TwoFingers | None
-        detector = None if settings.detector is None else settings.detector.open(sensor)
+        detector: OnlineSlipDetector | TwoFingers | None = settings.open_detector(sensor)
         slices = len(recording)
         if not slices:
             raise InputError("the recording has no slices", where=str(trial.inputs[0]))
         camera = ReplayCamera(trial.inputs[0])
         devices = Rig(camera, RecordedGripper(recording, camera))
-        both: TwoFingers | None = None
         if others:
             second = ReplayCamera(trial.inputs[1])
             opened.callback(second.close)
-            other = None if settings.detector is None else settings.detector.open(others[0].sensor_datasets())
-            both = detector = TwoFingers(detector, other, second, clock_offset_us=float(others[0].read(OFFSET)))
+            other = settings.open_detector(others[0].sensor_datasets())
+            detector = TwoFingers(detector, other, second, clock_offset_us=float(others[0].read(OFFSET)))
         steps = steps_with_slip = 0
 
         def blocks() -> Iterator[dict[str, Any]]:
@@ -172,9 +170,8 @@ def run(trial: ReplayGrasp, *, force: bool, progress: Progress) -> Outcome:
             happening = grasp_slices(devices, detector, settings.control(), trial.timing)
             for first, stop in row_blocks(slices):
                 buffer = TrialBuffer()
-                append = buffer.append if both is None else both.recorded_by(buffer.append)
                 for index, (events, rows) in enumerate(islice(happening, stop - first), first):
-                    append(events, rows)
+                    buffer.append(events, rows)
                     if index % 100 == 0:
                         progress(index, slices)
                 block = buffer.columns()

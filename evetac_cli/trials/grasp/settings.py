@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from evetac_cli import plugins, resources
 from evetac_cli.commands.grasp import Grasp
+from evetac_cli.devices.cameras import NamedCamera
 from evetac_cli.errors import InputError, did_you_mean
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.kernels.grip import control as grip_control
@@ -25,7 +26,7 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.trials.grasp.loop import Timing
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector, dots_for, open_detector
-from evetac_cli.trials.trial import DeviceTrial, ReplayTrial, SimulatedTrial, Trial, ViewRequest
+from evetac_cli.trials.trial import DeviceTrial, SimulatedTrial, Trial, ViewRequest
 
 if TYPE_CHECKING:
     from evetac_cli.devices.rh_p12_rn.driver import RhP12RnSettings
@@ -128,14 +129,15 @@ class GraspSettings:
         lasts_s = params.lift_s, params.balance_s
         return cls(params.controller, params.gain, law, params.control_hz, params.latency_ms, *lasts_s, detector)
 
-    def timing(self, touch_s: float) -> Timing:
-        """Return the phases and the controller timing, for a contact of this duration."""
-        return self.timing_with(touch_s, self.lift_s, self.balance_s)
-
-    def timing_with(self, touch_s: float, lift_s: float, balance_s: float) -> Timing:
-        """Return the timing for phases that differ from those of the flags."""
-        touch_ms, lift_ms, balance_ms = (round(SLICES_PER_S * each) for each in (touch_s, lift_s, balance_s))
+    def timing(self, touch_s: float, lift_s: float | None = None, balance_s: float | None = None) -> Timing:
+        """Return the phases and the controller timing, for a contact of this duration; None: as the flags say."""
+        lasts_s = touch_s, self.lift_s if lift_s is None else lift_s, self.balance_s if balance_s is None else balance_s
+        touch_ms, lift_ms, balance_ms = (round(SLICES_PER_S * each) for each in lasts_s)
         return Timing(touch_ms, lift_ms, balance_ms, self.control_hz, self.latency_ms)
+
+    def open_detector(self, sensor: Mapping[str, Any]) -> OnlineSlipDetector | None:
+        """Return the detector for a sensor with these datasets `sensor/...`; None for a law that uses none."""
+        return None if self.detector is None else self.detector.open(sensor)
 
     def control(self) -> Control:
         """Return the controller at the beginning of a grasp."""
@@ -201,8 +203,12 @@ class DeviceGrasp(DeviceTrial):
 
 
 @dataclass(frozen=True)
-class ReplayGrasp(ReplayTrial):
-    """A grasp on a recording, without motion; timing: the recording's, if it is a grasp."""
+class ReplayGrasp(Trial):
+    """A grasp on a recording, without motion; with two fingers, on those of both. timing: of a recorded grasp, its own.
 
+    camera: replays the first recording.
+    """
+
+    camera: NamedCamera
     settings: GraspSettings
     timing: Timing

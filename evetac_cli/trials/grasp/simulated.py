@@ -19,7 +19,7 @@ from evetac_cli.store.files import up_to_date, write_stage
 from evetac_cli.store.layout.provenance import Recipe
 from evetac_cli.store.recordings.trial_writer import TrialBuffer
 from evetac_cli.trials import live_view
-from evetac_cli.trials.grasp.loop import TwoFingers, run_grasp
+from evetac_cli.trials.grasp.loop import TwoFingers, grasp_slices
 from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
 from evetac_cli.trials.grasp.settings import SimulatedGrasp
 from evetac_cli.trials.live_view import LiveView, shown_in_real_time
@@ -31,15 +31,10 @@ TRAJECTORY = 32  # length of the trajectory name, as for uuid4
 SAME_CLOCK = {"capture/ended": "the grasp is over", "capture/clock_offset_us": np.float64(0.0)}
 
 
-def make_recipe(trial: SimulatedGrasp) -> Recipe:
-    """Return the recipe of a grasp's recording."""
-    parameters, parents = trial.settings.parameters(trial), trial.settings.parents()
-    return Recipe(OUTPUT, METHOD, parameters, seed=trial.seed, parents=parents, simulated_source=True)
-
-
 def recipes(trial: SimulatedGrasp) -> tuple[Recipe, ...]:
     """Return the recipe of each file of a grasp; the files of two fingers share the name of their trajectory."""
-    recipe = make_recipe(trial)
+    parameters, parents = trial.settings.parameters(trial), trial.settings.parents()
+    recipe = Recipe(OUTPUT, METHOD, parameters, seed=trial.seed, parents=parents, simulated_source=True)
     if trial.second_output is None:
         return (recipe,)
     shared = {**recipe.parameters, "trajectory": recipe.id[:TRAJECTORY]}
@@ -106,15 +101,16 @@ def play(
         if view is not None:
             view.begin(devices.camera.sensor)
         append = shown_in_real_time(view, append)
-        detector: OnlineSlipDetector | TwoFingers | None
-        detector = None if settings.detector is None else settings.detector.open(devices.camera.sensor)
+        detector: OnlineSlipDetector | TwoFingers | None = settings.open_detector(devices.camera.sensor)
         if devices.second is not None:
             camera, truth = devices.second
-            other = None if settings.detector is None else settings.detector.open(camera.sensor)
+            other = settings.open_detector(camera.sensor)
             detector = TwoFingers(detector, other, camera, lambda events: append_second(events, truth()))
-            append = detector.recorded_by(append)
-        control = settings.control()
-        run_grasp(devices, detector, control, timing, append, lambda done: progress(done, timing.end_ms), timer)
+        slices = grasp_slices(devices, detector, settings.control(), timing, timer)
+        for done, (events, rows) in enumerate(slices, start=1):
+            append(events, rows)
+            if done % 100 == 0:
+                progress(done, timing.end_ms)
     finally:
         devices.close()
     return devices, detector.count if detector else 0

@@ -12,7 +12,7 @@ counts the skipped slices. Its dots then recover as after a silence of the camer
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,9 @@ from evetac_cli.stages.touch.touch_fold import Factor, Slices, forces_of, normal
 from evetac_cli.store.calibration import MAKE_GRID
 from evetac_cli.trials.live_view.shared_view import SeenSlices, SharedView
 
+if TYPE_CHECKING:
+    from evetac_cli.trials.grasp.online_detector import OnlineSlipDetector
+
 PERIOD_S = 0.05  # time from one picture to the next
 KEPT = 600  # samples kept for a page that is opened later: 30 s
 MOST_BEHIND = 400  # slices; if farther behind, the view continues at the newest
@@ -41,24 +44,7 @@ MOST_COUNT = 15  # most events of one polarity in a pixel of a picture
 DIGITS = 3  # digits after the decimal point in a map
 
 
-class ViewDetector(Protocol):
-    """A slip detector with its tracker, for example an `OnlineSlipDetector`."""
-
-    probability: float
-
-    @property
-    def threshold(self) -> float:
-        """The probability that an alarm needs."""
-
-    def step(self, events: Events) -> float:
-        """Return the slip probability after one more slice."""
-
-    @property
-    def tracking(self) -> TrackerState:
-        """The dots after the slices so far."""
-
-
-OpenDetector = Callable[[Mapping[str, Any]], ViewDetector]  # called with datasets `sensor/...`
+OpenDetector = Callable[[Mapping[str, Any]], "OnlineSlipDetector"]  # called with datasets `sensor/...`
 
 
 class LiveTouch:
@@ -161,7 +147,7 @@ class Follower:
         self._shared = shared
         self._next = 0
         self._latest: deque[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]] = deque()  # events of the slices shown
-        self._detector: ViewDetector | None = None
+        self._detector: OnlineSlipDetector | None = None
         self._tracking: TrackerState | None = None
         self._touch: LiveTouch | None = None
         self.left_out = 0  # slices that arrived too fast

@@ -27,13 +27,19 @@ from evetac_cli.errors import DeviceError, EvetacError
 from evetac_cli.realtime.emergency_key import EmergencyKey
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.sim.setup.held import GripperCurrent
-from evetac_cli.trials.session import FRESH, OPENED, OVERLOADED, RECORDER_MS, TimeSample
+from evetac_cli.trials.session import (
+    FRESH,
+    HANGS_S,
+    HANGS_WATCHDOGS,
+    OPENED,
+    OPENING_S,
+    OVERLOADED,
+    RECORDER_MS,
+    TimeSample,
+)
 
 COMMAND_MS = 2  # the gripper is commanded at 500 Hz
 RAMP_MA = (-0.025, -0.0025)  # change of the target current per command (paper)
-HANGS_S = 0.5  # a loop hangs after this long without a command, or after HANGS_WATCHDOGS watchdog times if longer
-HANGS_WATCHDOGS = 4
-OPENING_S = 2.0  # extra time while it opens the gripper
 END_S = 5.0  # time for the command in progress, at the end
 STILL_COMMANDS = 150  # commands without a new position that count as contact
 MOST_CLOSING_COMMANDS = 10_000

@@ -40,13 +40,14 @@ from typing import Any
 
 import numpy as np
 
+from evetac_cli.commands.grasp import Grasp
 from evetac_cli.console import print_table
 from evetac_cli.inspect.doctor.speed import Computer
+from evetac_cli.sim.setup import scene_file
 from evetac_cli.store.files import StageFile
 from scripts.studies.realtime.conditions import CONDITIONS, HalfSpeed, Watched, condition
 
 HERE = Path(__file__).resolve().parents[3]
-TOUCH_S = 1.5  # contact phase of the scene `lift`, before the law reacts to slip
 JITTER_S = 2.0
 OVER = "the grasp is over"
 SPREADS = {"latency": "latency_us", "slice_late": "slice_late_us", "step_late": "step_late_us"}
@@ -102,7 +103,7 @@ def promise(checkout: Path, folder: Path, half: HalfSpeed | None) -> Row:
 
 def one(checkout: Path, plan: Row, folder: Path, half: HalfSpeed | None) -> Row:
     """Run one grasp with a checkout's commands; return its figures, if there is a recording."""
-    phases_s = plan["seconds"] - TOUCH_S
+    phases_s = plan["seconds"] - scene_file.load(Grasp.scene).time.touch_s
     lift_s = phases_s / 2
     out = folder / "run.recording.h5"
     words = [

@@ -17,7 +17,7 @@ from evetac_cli.stages.slip_detectors import load_detector
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.trial_writer import TrialBuffer
 from evetac_cli.trials import grasp
-from evetac_cli.trials.grasp.loop import Timing, run_grasp
+from evetac_cli.trials.grasp.loop import Timing, grasp_slices
 from evetac_cli.trials.grasp.online_detector import known_dots
 from evetac_cli.trials.grasp.settings import GraspSettings
 from tests.devices.stand_ins import StillCamera, StillGripper
@@ -167,8 +167,9 @@ def held(timing: Timing, slips_at: int) -> list[tuple[int, int]]:
     still = Still(camera)
     buffer = TrialBuffer()
     control = Control(make_law("paper"), timing.control_hz)
-    slices = run_grasp(Rig(camera, still), SlipsAt(slips_at), control, timing, buffer.append, lambda _: None)
-    assert slices == timing.end_ms == len(buffer.events)
+    for events, rows in grasp_slices(Rig(camera, still), SlipsAt(slips_at), control, timing):
+        buffer.append(events, rows)
+    assert timing.end_ms == len(buffer.events)
     assert len(buffer.rows["control/t_us"]) == len(still.goals)
     return still.goals
 

@@ -22,7 +22,6 @@ from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import PAPER, GraspPhase
 from evetac_cli.kernels.slip.alarms import alarming
 from evetac_cli.resources import PACKAGE
-from evetac_cli.sim.setup import scene_file
 from evetac_cli.store.recordings.read import open_recording
 from evetac_cli.store.recordings.segments import RecordingWriter
 from evetac_cli.trials import grasp
@@ -391,8 +390,3 @@ def test_ended_in_mid_grasp(end: str, exit_code: int, why: str, tmp_path: Path) 
     with open_recording(out) as file:
         assert why in file.read("capture/ended")
         assert file.has("capture/released_us") == (end == "kill")
-
-
-def test_the_contact_without_a_scene_is_that_of_the_scene_lift() -> None:
-    """Assert that a gripper at a port closes as long as in the scene that the controllers were chosen in."""
-    assert scene_file.load("lift").time.touch_s == real_time.TOUCH_S
