@@ -164,16 +164,13 @@ class Control:
 
     def __post_init__(self) -> None:
         check_range("control_hz", self.control_hz, above=True)
-        if isinstance(self.law, LoadLaw):
-            self._law, self._state = paper.PAPER, load_proportional.start()
-        elif isinstance(self.law, GripLaw):
-            self._law, self._state = self.law.at(self.control_hz), paper.start()
-        elif isinstance(self.law, PluginLaw):
-            self._law, self._state = paper.PAPER, self.law.start(self.control_hz)
+        self._law = self.law.at(self.control_hz) if isinstance(self.law, GripLaw) else paper.PAPER
+        if isinstance(self.law, PluginLaw):
+            self._state = self.law.start(self.control_hz)
             if not isinstance(self._state, LawState):
                 raise self._fault("its start does not return a LawState", self._state)
         else:
-            self._law, self._state = paper.PAPER, paper.start()
+            self._state = load_proportional.start() if isinstance(self.law, LoadLaw) else paper.start()
 
     def step(self, phase: GraspPhase, signal: SlipSignal, position_ticks: int) -> int:
         """Do one control step and return the goal position in ticks."""

@@ -183,11 +183,6 @@ class DotArchitecture:
             first += view.recent + view.means
         return slice(0, 0)
 
-    @property
-    def train_cut_ms(self) -> int:
-        """Length of the training data after the onset of a trajectory."""
-        return _train_cut_ms(self.history)
-
     def factors(self, sensor: Sensitivity) -> Factors:
         """Return the factors on the features of a sensor."""
         if not self.like_one_sensor:
@@ -215,11 +210,6 @@ class ImageArchitecture:
     def input_shape(self) -> tuple[int, int, int]:
         """(history, height, width) of one input."""
         return self.history, GEL_PX[1] // self.pool_px, GEL_PX[0] // self.pool_px
-
-    @property
-    def train_cut_ms(self) -> int:
-        """Length of the training data after the onset of a trajectory."""
-        return _train_cut_ms(self.history)
 
 
 class PluginLayers:
@@ -298,11 +288,6 @@ class PluginImageArchitecture(PluginLayers):
         """(channels of all images, height, width) of one input."""
         *channels, height, width = self.of.shape
         return self.images * int(np.prod(channels)), height, width
-
-    @property
-    def train_cut_ms(self) -> int:
-        """Length of the training data after the onset of a trajectory."""
-        return _train_cut_ms(self.history)
 
 
 OverImages = ImageArchitecture | PluginImageArchitecture
@@ -401,13 +386,6 @@ def with_scaled_logit(weights: Mapping[str, Weights], layer: str, scale: float, 
         changed[weight] = (scale * weights[weight].astype(np.float64)).astype(np.float32)
         changed[bias] = (scale * weights[bias].astype(np.float64) + offset).astype(np.float32)
     return changed
-
-
-def _train_cut_ms(history: int) -> int:
-    """Return 15 ms for a history up to 10, 20 ms up to 20, 50 ms beyond (paper, Model Training & Data Selection)."""
-    if history <= 10:
-        return 15
-    return 20 if history <= 20 else 50
 
 
 def _distance_and_events(recent: int, block: int = 1, means: int = 0) -> tuple[ChannelView, ChannelView]:

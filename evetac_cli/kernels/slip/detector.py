@@ -244,11 +244,10 @@ class Detector:
         # onnxruntime's sigmoid is an approximation: it returns 1.0000001 for some logits around 18.
         return np.minimum(probability, np.float32(1), out=probability)
 
-    def check_dots(self, dots: int) -> None:
-        """Raise ValueError unless a network over dots that runs in onnxruntime is for this number of dots."""
-        wanted = self._session.get_inputs()[0].shape[1]
-        if wanted != dots:
-            raise ValueError(f"expected {wanted} dots for the network, found {dots}")
+    @property
+    def dots(self) -> int:
+        """The number of dots that a network over dots is for."""
+        return int(self._session.get_inputs()[0].shape[1] if self.networks is None else self.networks.sizes[:2].prod())
 
     def over(self, series: inputs.Series, first: int = 0) -> NDArray[np.float32]:
         """Return the slip probability of every slice of a trajectory, NaN until the history is full.
@@ -331,29 +330,23 @@ class LiveDetector:
         self._probability = float("nan")
         architecture, networks = detector.architecture, detector.networks
         self._extras = np.full(len(EXTRAS), np.nan)  # extras of the next slice
-        if isinstance(architecture, DotArchitecture) and networks is not None:
+        if isinstance(architecture, DotArchitecture):
             seen = np.arange(len(tracking.rest_xy_px)) if seen_dots is None else np.flatnonzero(seen_dots)
-            rows, columns = networks.sizes[:2].tolist()
-            if len(seen) != rows * columns:
-                raise ValueError(f"expected {rows} x {columns} dots for the network, found {len(seen)}")
+            if len(seen) != detector.dots:
+                raise ValueError(f"expected {detector.dots} dots for the network, found {len(seen)}")
             dots = features.start(tracking.rest_xy_px[seen], architecture.history, architecture.factors(sensor))
-            self._extras = dots.record["extras"][0]
-            batch = np.zeros((1, len(seen), architecture.inputs_per_dot), np.float32)
-            # All arguments of the compiled call, in its order, created once.
-            self._dots = (
-                *(dots.record, seen, architecture.every, inputs.view_table(architecture.views)),
-                *(inputs.extra_table(architecture.extras), architecture.own_inputs),
-                *(batch, *networks, np.full(1, np.nan, np.float32)),
-            )
-            copied = (array.copy() if isinstance(array, np.ndarray) else array for array in self._dots)
-            none = np.empty(0, np.uint16)  # compiles or loads the kernel now instead of in the first slice
-            _predict_slice(tracking.record.copy(), none, none, np.empty(0, np.uint8), *copied)
-        elif isinstance(architecture, PluginArchitecture):
-            self._seen = np.arange(len(tracking.rest_xy_px)) if seen_dots is None else np.flatnonzero(seen_dots)
-            detector.check_dots(len(self._seen))
-            factors = architecture.factors(sensor)
-            self._features = features.start(tracking.rest_xy_px[self._seen], architecture.history, factors)
-            self._extras = self._features.record["extras"][0]
+            self._seen, self._features, self._extras = seen, dots, dots.record["extras"][0]
+            if networks is not None:
+                batch = np.zeros((1, len(seen), architecture.inputs_per_dot), np.float32)
+                # All arguments of the compiled call, in its order, created once.
+                self._dots = (
+                    *(dots.record, seen, architecture.every, inputs.view_table(architecture.views)),
+                    *(inputs.extra_table(architecture.extras), architecture.own_inputs),
+                    *(batch, *networks, np.full(1, np.nan, np.float32)),
+                )
+                copied = (array.copy() if isinstance(array, np.ndarray) else array for array in self._dots)
+                none = np.empty(0, np.uint16)  # compiles or loads the kernel now instead of in the first slice
+                _predict_slice(tracking.record.copy(), none, none, np.empty(0, np.uint8), *copied)
         self._slices = 0  # number so far, for images and for dots of plug-ins
         self._newest = np.array([architecture.history - 1])
         self._images: deque[tuple[NDArray[Any], ...]] = deque(maxlen=architecture.history)  # columns of each slice
@@ -362,7 +355,7 @@ class LiveDetector:
     def tell(self, position_ticks: float, command_ticks: float, sticking_share: float = float("nan")) -> None:
         """Set the extras, starting with the next slice, until they are set again; NaN for unknown ones.
 
-        command_ticks: as from `inputs.command_ticks`. A network without extras ignores them.
+        command_ticks: a goal current is converted as in `inputs.extra_columns`. A network without extras ignores them.
         """
         self._extras[:] = position_ticks, command_ticks, sticking_share
 
@@ -403,8 +396,8 @@ class LiveDetector:
         if since_full >= 0 and since_full % architecture.every == 0:
             series: inputs.Series
             if isinstance(architecture, PluginArchitecture):
-                latest_extras = features.latest_extras(self._features.record)
-                series = inputs.DotsAndExtras(features.latest(self._features), latest_extras)
+                record = self._features.record
+                series = inputs.DotsAndExtras(features.latest_slices(record), features.latest_extras(record))
             else:
                 series = self._stack()
             batch = inputs.at(architecture, series, self._newest)

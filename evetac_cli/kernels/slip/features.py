@@ -1,7 +1,7 @@
 """Features of a slice for slip detectors: displacement and events of each dot, and the events as an image.
 
 The list is the paper's ("Evetac Touch Features"), plus the displacement with its direction. The live functions
-(`start`, `step`, `latest`) and those for whole recordings (`displacement`, `displacement_xy`, `series`) return
+(`start`, `step`, `latest_slices`) and those for whole recordings (`displacement`, `displacement_xy`, `series`) return
 identical bits. Dots are flattened row by row from (rows, columns). The inputs of a network are made of several slices
 in inputs.py.
 
@@ -35,7 +35,7 @@ UNSCALED = Factors()
 STATE = np.dtype(
     [
         ("dots", np.int64),  # n
-        ("history", np.int64),  # number of slices that `latest` returns
+        ("history", np.int64),  # number of slices that `latest_slices` returns
         ("slices", np.int64),  # number so far
         ("displacement_factor", np.float64),
         ("events_factor", np.float64),
@@ -57,29 +57,16 @@ class FeatureState:
     bytes or shared memory; the reasons are those in tracker.py.
     """
 
-    __slots__ = ("history", "record", "rest_xy_px", "ring")
+    __slots__ = ("record", "rest_xy_px")
 
     def __init__(self, record: NDArray[np.void]) -> None:
         assert record.dtype == STATE and record.shape == (1,) and record.flags.writeable
         self.record = record
-        n, self.history = int(record["dots"][0]), int(record["history"][0])
-        shape = 2 * self.history, n, len(CHANNELS)
-        self.rest_xy_px: NDArray[np.float64] = record["rest_xy_px"][0, :n]  # (n, 2)
-        self.ring: NDArray[np.float32] = record["ring"][0, : np.prod(shape)].reshape(shape)
+        self.rest_xy_px: NDArray[np.float64] = record["rest_xy_px"][0, : record["dots"][0]]  # (n, 2)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the record, so that the views of a copy belong to its own record."""
         return FeatureState, (self.record.copy(),)
-
-    @property
-    def slices(self) -> int:
-        """Number of slices so far."""
-        return int(self.record["slices"][0])
-
-    @property
-    def full(self) -> bool:
-        """Whether there are `history` slices."""
-        return self.slices >= self.history
 
 
 def start(rest_xy_px: NDArray[np.floating], history: int, factors: Factors = UNSCALED) -> FeatureState:
@@ -105,14 +92,6 @@ def step(state: FeatureState, dot_xy_px: NDArray[np.floating], events_per_dot: N
     rest = state.rest_xy_px
     assert dot_xy_px.shape == rest.shape and events_per_dot.shape == dot_xy_px.shape[:1]
     take_slice(state.record, dot_xy_px, events_per_dot)
-
-
-def latest(state: FeatureState) -> NDArray[np.float32]:
-    """Return the last slices, (history, n, channels) as from `series`, newest last: a view, until the next step."""
-    slices = state.slices
-    assert slices >= state.history
-    first = slices % state.history
-    return state.ring[first : first + state.history]
 
 
 def series(
@@ -318,7 +297,10 @@ def take_slice(record: NDArray[np.void], dot_xy_px: NDArray[np.floating], events
 
 @njit(cache=True)
 def latest_slices(record: NDArray[np.void]) -> NDArray[np.float32]:
-    """Return the same as `latest`, unchecked, for compiled code; record: of a `FeatureState`."""
+    """Return the last slices, (history, n, channels) as from `series`, newest last, once there are as many.
+
+    It is a view, until the next step; record: of a `FeatureState`.
+    """
     state = record[0]
     dots, history = state["dots"], state["history"]
     first, row = state["slices"] % history, dots * len(CHANNELS)
@@ -328,7 +310,7 @@ def latest_slices(record: NDArray[np.void]) -> NDArray[np.float32]:
 
 @njit(cache=True)
 def latest_extras(record: NDArray[np.void]) -> NDArray[np.float32]:
-    """Return the extras of the slices that `latest` returns, (history, extras); record: of a `FeatureState`."""
+    """Return the extras of the slices that `latest_slices` returns, (history, extras); record: of a `FeatureState`."""
     state = record[0]
     first, extras_ring = state["slices"] % state["history"], state["extras_ring"][:]
     latest: NDArray[np.float32] = extras_ring[first : first + state["history"]]

@@ -47,11 +47,6 @@ MOST_CHANGE = 10.0
 UNKNOWN_EXTRAS = np.full(len(EXTRAS), np.nan, np.float32)
 
 
-def command_ticks(goal_ticks: float, goal_ma: float) -> float:
-    """Return the command in the unit of EXTRAS from a goal position or a goal current; the other, or both, are NaN."""
-    return goal_ma * TICKS_PER_MA if np.isnan(goal_ticks) else goal_ticks
-
-
 def known_at_start(t_us: NDArray[np.int64], values: NDArray[np.number], slices: int) -> NDArray[np.float32]:
     """Return the last value, of rising times (rows,), at the start of each slice, (slices,); NaN before the first."""
     last = np.searchsorted(t_us, np.arange(slices, dtype=np.int64) * SLICE_US, side="right") - 1
@@ -260,7 +255,10 @@ def at(architecture: Architecture, series: Series, slices: NDArray[np.integer]) 
     inputs_per_dot); without extras, all extras are unknown. Images: `EventImages` -> (samples, history, height, width),
     newest first. Images of plug-ins: `GelEvents` -> (samples, images * channels, height, width), newest first.
     """
-    ends = _checked_ends(slices, architecture.history, length(series))
+    ends = np.asarray(slices).astype(np.int64, casting="same_kind")
+    assert ends.ndim == 1 and (
+        not len(ends) or (ends.min() >= architecture.history - 1 and ends.max() < length(series))
+    )
     if isinstance(architecture, ImageArchitecture):
         assert isinstance(series, EventImages)
         images = np.zeros((len(ends), *architecture.input_shape), np.float32)
@@ -278,8 +276,9 @@ def at(architecture: Architecture, series: Series, slices: NDArray[np.integer]) 
     dots = np.empty((len(ends), of_dots.shape[1], architecture.inputs_per_dot), np.float32)
     fill(of_dots, ends, views, dots)
     if architecture.extras:
-        values = series.extras if isinstance(series, DotsAndExtras) else _unknown(len(of_dots))
-        assert values.shape == (len(of_dots), len(EXTRAS))
+        shape = len(of_dots), len(EXTRAS)
+        values = series.extras if isinstance(series, DotsAndExtras) else np.broadcast_to(UNKNOWN_EXTRAS, shape)
+        assert values.shape == shape
         fill_extras(values, ends, extra_table(architecture.extras), architecture.own_inputs, dots)
     return dots
 
@@ -290,19 +289,6 @@ def _stack(architecture: PluginImageArchitecture, events: GelEvents) -> NDArray[
     ends = np.arange(architecture.of.longest_ms, architecture.history + 1, architecture.every)
     images = images_ending(architecture.of, Events(t_us, *events[2:]), ends)
     return images[::-1].reshape(architecture.input_shape)
-
-
-def _unknown(slices: int) -> NDArray[np.float32]:
-    """Return extras (slices, extras) that are all unknown; a view, as all rows are the same."""
-    return np.broadcast_to(UNKNOWN_EXTRAS, (slices, len(EXTRAS)))
-
-
-def _checked_ends(slices: NDArray[np.integer], history: int, available: int) -> NDArray[np.int64]:
-    """Return the ends of inputs as int64, each with a full history within the available slices."""
-    ends = np.asarray(slices)
-    assert ends.ndim == 1 and ends.dtype.kind in "iu"
-    assert not len(ends) or (ends.min() >= history - 1 and ends.max() < available)
-    return ends.astype(np.int64)
 
 
 def turn(

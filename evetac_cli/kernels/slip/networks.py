@@ -46,14 +46,25 @@ class SlipNetwork(nn.Module):
     input_scale: Tensor
 
     def __init__(
-        self, architecture: Architecture, rows: int, columns: int, scale: ArrayLike | None, offset: ArrayLike | None
+        self,
+        architecture: Architecture,
+        rows: int = 7,
+        columns: int = 8,
+        input_scale: ArrayLike | None = None,
+        input_offset: ArrayLike | None = None,
     ) -> None:
+        """Set initial weights from torch's generator; the grid of dots does not matter for images."""
         super().__init__()
         self.architecture, self.rows, self.columns = architecture, rows, columns
         wide = channels(architecture)
         self._shape = (wide,) if isinstance(architecture, DotArchitecture) else (wide, 1, 1)
-        self.register_buffer("input_scale", _channels(1.0 if scale is None else scale, wide))
-        self.register_buffer("input_offset", _channels(0.0 if offset is None else offset, wide))
+        self.register_buffer("input_scale", _channels(1.0 if input_scale is None else input_scale, wide))
+        self.register_buffer("input_offset", _channels(0.0 if input_offset is None else input_offset, wide))
+        self.add_layers()
+
+    def add_layers(self) -> None:
+        """Add all layers, the last of which are the `outputs`."""
+        raise NotImplementedError
 
     def forward(self, features: Tensor) -> Tensor:
         """Return logits (batch,), whose sigmoid is the probability, of features (batch, ...) as from `inputs.at`."""
@@ -81,18 +92,11 @@ class SlipNet(SlipNetwork):
 
     architecture: DotArchitecture
 
-    def __init__(
-        self,
-        architecture: DotArchitecture,
-        rows: int = 7,
-        columns: int = 8,
-        input_scale: ArrayLike | None = None,
-        input_offset: ArrayLike | None = None,
-    ) -> None:
+    def add_layers(self) -> None:
+        """Add the layers of the paper's table."""
+        architecture, rows, columns = self.architecture, self.rows, self.columns
         assert rows >= LEAST_ROWS and columns >= LEAST_COLUMNS
-        super().__init__(architecture, rows, columns, input_scale, input_offset)
-        wide = architecture.inputs_per_dot
-        self.fc1 = nn.Linear(wide, architecture.fc1)
+        self.fc1 = nn.Linear(architecture.inputs_per_dot, architecture.fc1)
         self.fc2 = nn.Linear(architecture.fc1, architecture.fc2)
         # The kernel loses a column on each side but no row: 7 x 8 dots give 7 x 6, as in the paper's table.
         self.conv1 = nn.Conv2d(architecture.fc2, CONV1, 3, padding=(1, 0))
@@ -118,15 +122,9 @@ class ImageNet(SlipNetwork):
 
     architecture: ImageArchitecture
 
-    def __init__(
-        self,
-        architecture: ImageArchitecture,
-        input_scale: ArrayLike | None = None,
-        input_offset: ArrayLike | None = None,
-    ) -> None:
-        super().__init__(architecture, 0, 0, input_scale, input_offset)
-        wide = architecture.history
-        entering = (wide, *IMAGE_CONVS)
+    def add_layers(self) -> None:
+        """Add the convolutions and the two layers after them."""
+        entering = (self.architecture.history, *IMAGE_CONVS)
         self.convs = nn.ModuleList(
             nn.Conv2d(before, after, IMAGE_KERNEL) for before, after in zip(entering, IMAGE_CONVS, strict=False)
         )
@@ -147,16 +145,9 @@ class PluginNet(SlipNetwork):
 
     architecture: PluginArchitecture | PluginImageArchitecture
 
-    def __init__(
-        self,
-        architecture: PluginArchitecture | PluginImageArchitecture,
-        rows: int = 7,
-        columns: int = 8,
-        input_scale: ArrayLike | None = None,
-        input_offset: ArrayLike | None = None,
-    ) -> None:
-        super().__init__(architecture, rows, columns, input_scale, input_offset)
-        for name, module in architecture.modules(rows, columns).items():
+    def add_layers(self) -> None:
+        """Add the layers of the package."""
+        for name, module in self.architecture.modules(self.rows, self.columns).items():
             self.add_module(name, module)
 
     def last_hidden(self, features: Tensor) -> Tensor:
@@ -173,11 +164,10 @@ def build(
     input_offset: ArrayLike | None = None,
 ) -> SlipNetwork:
     """Return a network with initial weights from torch's generator; an `ImageNet` ignores the grid of dots."""
+    kind: type[SlipNetwork] = PluginNet if isinstance(architecture, PluginLayers) else SlipNet
     if isinstance(architecture, ImageArchitecture):
-        return ImageNet(architecture, input_scale, input_offset)
-    if isinstance(architecture, PluginLayers):
-        return PluginNet(architecture, rows, columns, input_scale, input_offset)
-    return SlipNet(architecture, rows, columns, input_scale, input_offset)
+        kind = ImageNet
+    return kind(architecture, rows, columns, input_scale, input_offset)
 
 
 def parameters(network: SlipNetwork) -> int:

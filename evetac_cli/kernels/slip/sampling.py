@@ -123,6 +123,13 @@ def _sorted(
             )
 
 
+def train_cut_ms(history: int) -> int:
+    """Return the length of the training data after an onset (paper, Model Training & Data Selection)."""
+    if history <= 10:
+        return 15
+    return 20 if history <= 20 else 50
+
+
 def _members(
     label: NDArray[np.int8],
     onset: int,
@@ -132,7 +139,7 @@ def _members(
 ) -> dict[str, NDArray[np.bool_]]:
     """Return, for each pool, which slices of a trajectory are its samples, up to the cut of the trajectory."""
     shifted = shift_labels(label, horizon_ms)
-    slices = len(shifted) if onset < 0 else min(len(shifted), onset + architecture.train_cut_ms)
+    slices = len(shifted) if onset < 0 else min(len(shifted), onset + train_cut_ms(architecture.history))
     full, shifted = np.arange(slices) >= architecture.history - 1, shifted[:slices]
     busy = events_outside[:slices] > BUSY_EVENTS
     never_slips = onset < 0 and not np.any(label == 1)

@@ -169,7 +169,7 @@ def test_needs_no_torch() -> None:
 
 def test_dots_of_another_number_are_refused() -> None:
     """Assert that a tracker of fewer dots than the network was trained for is refused at the start."""
-    with pytest.raises(ValueError, match="expected 7 x 8 dots for the network, found 48"):
+    with pytest.raises(ValueError, match="expected 56 dots for the network, found 48"):
         LiveDetector(trained("hist10"), tracker.start(REST[:48], presets.PRESETS["stable"]), WINDOW)
 
 

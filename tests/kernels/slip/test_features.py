@@ -59,9 +59,8 @@ def test_live_equals_recording(seed: int, history: int, n: int) -> None:
     state = features.start(rest, history, factors)
     for k in range(slices):
         features.step(state, tracks[k], events[k])
-        assert state.full == (k >= history - 1)
-        if state.full:
-            windows = features.latest(state)
+        if k >= history - 1:
+            windows = features.latest_slices(state.record)
             assert windows.dtype == np.float32
             assert windows.tobytes() == expected[k - history + 1 : k + 1].tobytes()
 
@@ -73,7 +72,7 @@ def test_the_largest_state_fits() -> None:
     for dot_xy_px, counts in zip(tracks, events, strict=True):
         features.step(state, dot_xy_px, counts)
     expected = features.series(features.displacement(tracks, rest), events, features.displacement_xy(tracks, rest))
-    assert features.latest(state).tobytes() == expected[5:].tobytes()
+    assert features.latest_slices(state.record).tobytes() == expected[5:].tobytes()
 
 
 def test_channels_by_hand() -> None:
@@ -82,7 +81,7 @@ def test_channels_by_hand() -> None:
     state = features.start(rest, 2)
     for k in range(5):
         features.step(state, rest + np.array([[k, 0], [0, -10 * k]]), np.array([100 + k, 200 + k], np.int32))
-    assert features.latest(state).tolist() == [
+    assert features.latest_slices(state.record).tolist() == [
         [[3, 103, 3, 0], [30, 203, 0, -30]],
         [[4, 104, 4, 0], [40, 204, 0, -40]],
     ]
