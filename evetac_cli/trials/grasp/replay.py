@@ -151,7 +151,8 @@ def run(trial: ReplayGrasp, *, force: bool, progress: Progress) -> Outcome:
             _refuse_unknown_dots(trial, each)
         recording, *others = recordings
         sensor = {**recording.sensor_datasets(), "t_offset": recording.read("t_offset")}
-        detector: OnlineSlipDetector | TwoFingers | None = settings.open_detector(sensor)
+        first_detector = settings.open_detector(sensor)
+        detector: OnlineSlipDetector | TwoFingers | None = first_detector
         slices = len(recording)
         if not slices:
             raise InputError("the recording has no slices", where=str(trial.inputs[0]))
@@ -161,7 +162,7 @@ def run(trial: ReplayGrasp, *, force: bool, progress: Progress) -> Outcome:
             second = ReplayCamera(trial.inputs[1])
             opened.callback(second.close)
             other = settings.open_detector(others[0].sensor_datasets())
-            detector = TwoFingers(detector, other, second, clock_offset_us=float(others[0].read(OFFSET)))
+            detector = TwoFingers(first_detector, other, second, clock_offset_us=float(others[0].read(OFFSET)))
         steps = steps_with_slip = 0
 
         def blocks() -> Iterator[dict[str, Any]]:

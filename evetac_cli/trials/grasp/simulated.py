@@ -101,11 +101,12 @@ def play(
         if view is not None:
             view.begin(devices.camera.sensor)
         append = shown_in_real_time(view, append)
-        detector: OnlineSlipDetector | TwoFingers | None = settings.open_detector(devices.camera.sensor)
+        first = settings.open_detector(devices.camera.sensor)
+        detector: OnlineSlipDetector | TwoFingers | None = first
         if devices.second is not None:
             camera, truth = devices.second
             other = settings.open_detector(camera.sensor)
-            detector = TwoFingers(detector, other, camera, lambda events: append_second(events, truth()))
+            detector = TwoFingers(first, other, camera, lambda events: append_second(events, truth()))
         slices = grasp_slices(devices, detector, settings.control(), timing, timer)
         for done, (events, rows) in enumerate(slices, start=1):
             append(events, rows)

@@ -1,5 +1,6 @@
 """The plan of a recording from devices: shown, and refused if it would fail, before a device is touched."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
@@ -25,52 +26,6 @@ NAME_TAKEN = "start a trial with another name; record --listen --force replaces 
 
 
 @dataclass(frozen=True)
-class HoldRequest:
-    """The requested handling of the object; holding_ma: None if a simulated scene draws it for each trial."""
-
-    closing_ma: int
-    holding_ma: float | None
-    hold_s: float
-    lowest_ma: float
-    # current that the gripper follows instead of closing, holding and lowering the current
-    course: GripperCurrent | None
-
-    @classmethod
-    def of(cls, params: Record, plan: Plan | None) -> "HoldRequest":
-        """Return the request of the flags and the scene.
-
-        InputError for a current that cannot fall, or unused options.
-        """
-        asked_ma = params.holding_ma if params.holding_ma is not None or plan is not None else HOLDING_MA
-        request = cls(params.closing_ma, asked_ma, params.hold_s, params.lowest_ma, _course(params, plan))
-        if asked_ma is not None:
-            request.hold(asked_ma)
-        return request
-
-    def hold(self, sampled_ma: float, fall_factor: float = 1.0) -> Hold:
-        """Return the hold of one trial; its scene draws both arguments. InputError for a current that cannot fall."""
-        holding_ma = sampled_ma if self.holding_ma is None else self.holding_ma
-        if self.course is None and self.lowest_ma >= holding_ma:
-            raise InputError(
-                "the current would not fall",
-                where="--lowest-ma",
-                expected=f"less than the holding current, {holding_ma:g} mA (--holding-ma)",
-                found=f"{self.lowest_ma:g} mA",
-            )
-        return Hold(self.closing_ma, holding_ma, self.hold_s, self.lowest_ma, self.course, fall_factor)
-
-    def __str__(self) -> str:
-        if self.course is not None:
-            lowest, highest = min(self.course.ma), max(self.course.ma)
-            return f"follows a current of {lowest:g} to {highest:g} mA for {self.course.ends_s:g} s"
-        holding = f"{self.holding_ma} mA" if self.holding_ma is not None else "the current of its scene"
-        return (
-            f"closes with {self.closing_ma:g} mA until contact, holds with {holding} for {self.hold_s:g} s,"
-            f" lowers the current to {self.lowest_ma:g} mA"
-        )
-
-
-@dataclass(frozen=True)
 class DeviceRecording(DeviceTrial):
     """A trial that is recorded from devices.
 
@@ -82,7 +37,7 @@ class DeviceRecording(DeviceTrial):
     """
 
     settings: CameraSettings
-    hold: HoldRequest | None
+    hold: Hold | None
     calibrations: tuple[Calibration, ...]
     seconds: float | None
     events_per_s: float
@@ -96,7 +51,7 @@ class DeviceRecording(DeviceTrial):
         return cls(
             **vars(trial),
             settings=camera_settings(params),
-            hold=HoldRequest.of(params, trial.plan) if trial.gripper.has(Capability.MOVED) else None,
+            hold=_hold(params, trial.plan) if trial.gripper.has(Capability.MOVED) else None,
             calibrations=read_calibrations(params.calibration, frames_px),
             seconds=params.seconds,
             events_per_s=params.expected_event_rate,
@@ -116,6 +71,14 @@ class DeviceRecording(DeviceTrial):
 def camera_settings(params: Record) -> CameraSettings:
     """Return thresholds and readout rate of the camera from the flags."""
     return CameraSettings(params.threshold_on, params.threshold_off, params.readout_rate)
+
+
+def _hold(params: Record, plan: Plan | None) -> Hold:
+    """Return how the flags and the scene handle the object; InputError for unused options."""
+    holding_ma = HOLDING_MA if plan is None else math.nan
+    if params.holding_ma is not None:
+        holding_ma = params.holding_ma
+    return Hold(params.closing_ma, holding_ma, params.hold_s, params.lowest_ma, _course(params, plan))
 
 
 def _course(params: Record, plan: Plan | None) -> GripperCurrent | None:

@@ -15,7 +15,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
 
@@ -23,7 +23,7 @@ import numpy as np
 
 from evetac_cli import console
 from evetac_cli.devices import Gripper, GripperReading, gripper_row
-from evetac_cli.errors import DeviceError, EvetacError
+from evetac_cli.errors import DeviceError, EvetacError, InputError
 from evetac_cli.realtime.emergency_key import EmergencyKey
 from evetac_cli.realtime.shared_time import HOST_TIME, TimeSource
 from evetac_cli.sim.setup.held import GripperCurrent
@@ -60,15 +60,39 @@ class Hold:
     """How an object is gripped and released, in motor current; closing is positive.
 
     course: a current to follow instead, starting at the first command; fall_factor: factor on the rate at which the
-    current falls.
+    current falls. InputError for a current that cannot fall.
     """
 
     closing_ma: int
-    holding_ma: float
+    holding_ma: float  # NaN: a simulated scene draws it for each trial
     hold_s: float
     lowest_ma: float  # the recording ends when the target falls below this
     course: GripperCurrent | None = None
     fall_factor: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.course is None and self.lowest_ma >= self.holding_ma:
+            raise InputError(
+                "the current would not fall",
+                where="--lowest-ma",
+                expected=f"less than the holding current, {self.holding_ma:g} mA (--holding-ma)",
+                found=f"{self.lowest_ma:g} mA",
+            )
+
+    def of_trial(self, sampled_ma: float, fall_factor: float) -> "Hold":
+        """Return the hold of one trial, whose scene draws both arguments; a current that was asked for stays."""
+        holding_ma = sampled_ma if math.isnan(self.holding_ma) else self.holding_ma
+        return replace(self, holding_ma=holding_ma, fall_factor=fall_factor)
+
+    def __str__(self) -> str:
+        if self.course is not None:
+            lowest, highest = min(self.course.ma), max(self.course.ma)
+            return f"follows a current of {lowest:g} to {highest:g} mA for {self.course.ends_s:g} s"
+        holding = "the current of its scene" if math.isnan(self.holding_ma) else f"{self.holding_ma} mA"
+        return (
+            f"closes with {self.closing_ma:g} mA until contact, holds with {holding} for {self.hold_s:g} s,"
+            f" lowers the current to {self.lowest_ma:g} mA"
+        )
 
 
 @dataclass
