@@ -27,6 +27,7 @@ import typer
 
 from evetac_cli import console, interrupts, plugins
 from evetac_cli.cli.flags import Group, Running
+from evetac_cli.commands import FORMER
 from evetac_cli.errors import (
     INTERNAL_ERROR,
     INTERRUPTED,
@@ -125,6 +126,9 @@ class Commands(Group):
         """Note whether --json was given, before any flag is read, then read the flags of `evetac` itself."""
         ctx.meta["as_json"] = "--json" in args
         with _outside_a_command(ctx):
+            for former in (args[0], *(f"{args[0]} {flag}" for flag in args[1:])) if args else ():
+                if former in FORMER:
+                    ctx.fail(f"`evetac {former}` is now `evetac {FORMER[former]}`.")
             return list(super().parse_args(ctx, args))
 
     def invoke(self, ctx: Any) -> Any:
