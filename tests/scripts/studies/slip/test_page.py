@@ -45,8 +45,9 @@ def test_two_sensors_are_compared_as_written(tmp_path: Path, monkeypatch: pytest
     assert "10 by the same scene, object, seed and trial number" in row["pairing"]
     page = Path("soft-stiff.report.html").read_text()
     assert row["pairing"] in page
-    for number, left_out in zip(n, abstained, strict=True):
+    for sensor, number, left_out in zip(SENSORS, n, abstained, strict=True):
         assert f"{number} of 10 trials that slip; labels abstain in {left_out}" in page
-        assert f"{number} of 10, without {left_out} that abstain or do not slip" in page
+        cells = "</td><td[^>]*>".join(map(str, (sensor, 10, number, left_out)))
+        assert re.search(f"<td[^>]*>{cells}</td>", page)
     answer_of("report", "soft")
     assert f"labels abstain in {abstained[0]}" in Path("soft/report.html").read_text()
