@@ -205,8 +205,7 @@ def force_rows(evaluations: Evaluations) -> Rows:
     rows = []
     for name, evaluation in evaluations.items():
         dots = name.rpartition("-")[2]
-        trials = [row for row in evaluation.rows if "mae_n_x" in row]
-        for members in grouped(trials, ("sensor", "model", "sensor_name")):
+        for members in grouped(having({name: evaluation}, "mae_n_x"), ("sensor", "model", "sensor_name")):
             mean = {key: sum(row[key] for row in members) / len(members) for key in ("mae_n_x", "mae_n_y")}
             what = {key: members[0][key] for key in ("sensor", "model", "sensor_name")} | {"trajectories": len(members)}
             published = {key: members[0][key] for key in ("paper_mae_n_x", "paper_mae_n_y")}
