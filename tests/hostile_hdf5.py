@@ -144,7 +144,7 @@ ANYWHERE: dict[str, tuple[Change, str]] = {
     # is of another kind
     "compound": (
         lambda path: put(path, np.zeros(rows_of(path), [("a", "u1"), ("b", "u1")])),
-        "expected dtype|not a column",
+        "expected dtype|not a column|no event columns",
     ),
 }
 

@@ -36,7 +36,7 @@ COMMANDS = {
     "dsec": ("export {n}.recording.h5 --format dsec", "record --from {n}.dsec.h5 -o out"),
     "calibration": ("export {n}.recording.h5 --format calibration", "calibrate --import {n}.calibration.json -o out"),
     "parquet": ("export {n}.recording.h5 --format parquet -f", "export . --format parquet -o {n}"),
-    "share": ("share . -o ../{n}-hub --title {n}", "share . -o ../{n}-hub -f"),
+    "share": ("share . -o ../{n}-hub --title {n}", "share . -o ../{n}-hub2"),
     "attach": (
         "attach {n}.recording.h5 --stream a={n}.csv -o out",
         "attach {n}.recording.h5 --stream b={n}.parquet -o out2",

@@ -107,6 +107,10 @@ def _import(job: Job, params: Calibrate, force: bool) -> Outcome:
         calibration = _of_sensor(source, params)
     else:
         centres, radius = read_pickle(source)
+        if (centres < 0).any() or (centres > np.array(FRAME_PX) - 1).any():
+            message = "a dot is outside the frame of the official software"
+            hint = "write the dots as JSON with frame_px"
+            raise InputError(message, where=str(source), expected="{} x {} px".format(*FRAME_PX), hint=hint)
         dots, window = calibrated_gel.arranged(FoundDots(centres, radius, FRAME_PX, str(source)), params)
         if np.isfinite(dots[..., 0]).sum() != len(centres):
             expected, found = f"{len(centres)} dots in rows and columns", str(np.isfinite(dots[..., 0]).sum())

@@ -9,7 +9,6 @@ Several cameras of one trial fill one file each. These share a trajectory id and
 The first camera leads: it determines the number of slices, and its file has the gripper.
 """
 
-import math
 import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -142,7 +141,7 @@ def _begin(
     if view is not None:
         view.begin(sensor)
     hold = _hold(trial, rig)
-    asked_ma = None if trial.hold is None or math.isnan(trial.hold.holding_ma) else trial.hold.holding_ma
+    asked_ma = None if trial.hold is None else trial.hold.holding_ma
     # A current that every trial draws belongs to the trial, not to the setup of the series.
     sampled = {} if hold is None or asked_ma is not None else {"sampled_holding_ma": hold.holding_ma}
     if hold is not None and hold.fall_factor != 1.0:

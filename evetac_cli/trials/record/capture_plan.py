@@ -1,6 +1,5 @@
 """The plan of a recording from devices: shown, and refused if it would fail, before a device is touched."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
@@ -75,7 +74,7 @@ def camera_settings(params: Record) -> CameraSettings:
 
 def _hold(params: Record, plan: Plan | None) -> Hold:
     """Return how the flags and the scene handle the object; InputError for unused options."""
-    holding_ma = HOLDING_MA if plan is None else math.nan
+    holding_ma = HOLDING_MA if plan is None else None
     if params.holding_ma is not None:
         holding_ma = params.holding_ma
     return Hold(params.closing_ma, holding_ma, params.hold_s, params.lowest_ma, _course(params, plan))

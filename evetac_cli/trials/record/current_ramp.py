@@ -64,14 +64,14 @@ class Hold:
     """
 
     closing_ma: int
-    holding_ma: float  # NaN: a simulated scene draws it for each trial
+    holding_ma: float | None  # None: a simulated scene draws it for each trial
     hold_s: float
     lowest_ma: float  # the recording ends when the target falls below this
     course: GripperCurrent | None = None
     fall_factor: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.course is None and self.lowest_ma >= self.holding_ma:
+        if self.course is None and self.holding_ma is not None and self.lowest_ma >= self.holding_ma:
             raise InputError(
                 "the current would not fall",
                 where="--lowest-ma",
@@ -81,14 +81,14 @@ class Hold:
 
     def of_trial(self, sampled_ma: float, fall_factor: float) -> "Hold":
         """Return the hold of one trial, whose scene draws both arguments; a current that was asked for stays."""
-        holding_ma = sampled_ma if math.isnan(self.holding_ma) else self.holding_ma
+        holding_ma = sampled_ma if self.holding_ma is None else self.holding_ma
         return replace(self, holding_ma=holding_ma, fall_factor=fall_factor)
 
     def __str__(self) -> str:
         if self.course is not None:
             lowest, highest = min(self.course.ma), max(self.course.ma)
             return f"follows a current of {lowest:g} to {highest:g} mA for {self.course.ends_s:g} s"
-        holding = "the current of its scene" if math.isnan(self.holding_ma) else f"{self.holding_ma} mA"
+        holding = "the current of its scene" if self.holding_ma is None else f"{self.holding_ma:g} mA"
         return (
             f"closes with {self.closing_ma:g} mA until contact, holds with {holding} for {self.hold_s:g} s,"
             f" lowers the current to {self.lowest_ma:g} mA"
@@ -150,6 +150,7 @@ def step(state: HoldState, hold: Hold, reading: GripperReading, rng: np.random.G
         if _touches(state, reading.position_ticks):
             state.phase = RampPhase.HOLDING
     if state.phase is RampPhase.HOLDING:
+        assert hold.holding_ma is not None  # of_trial has asked the scene
         state.target_ma = hold.holding_ma
         state.touch_ticks = reading.position_ticks
         state.held_commands += 1

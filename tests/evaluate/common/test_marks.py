@@ -187,12 +187,9 @@ def test_the_source_is_what_headers_tell() -> None:
     """Assert scenes, trackers, labels, detector, durations and training recordings of a report on grasps."""
     of = {"simulated": True, "method": 1, "seed": 0}
     history = {
-        "r": {**of, "kind": "recording", "parents": [], "parameters": {"scene": {"name": "slip"}}},
-        "l": {**of, "kind": "labels", "parents": ["r"], "parameters": {"method": "event-flow"}},
-        "t": {**of, "kind": "tracks", "parents": ["r"], "parameters": {"preset": "stable"}},
-        "f": {**of, "kind": "features", "parents": ["l", "t"], "parameters": {}},
-        "m": {**of, "kind": "model", "parents": ["f"],
-              "parameters": {"model": "fast-slow", "horizon_ms": 10, "preset": "paper", "networks": 4}},
+        "m": {**of, "kind": "model", "parents": [],
+              "parameters": {"model": "fast-slow", "horizon_ms": 10, "preset": "paper", "networks": 4},
+              "trajectories": [{"recording": "r", "scene": "slip", "labels": "event-flow", "tracker": "stable"}]},
         "g": {**of, "kind": "recording", "parents": ["m"],
               "parameters": {"scene": {"name": "lift"}, "tracker": {"preset": "paper"}, "lift_s": 7, "balance_s": 5}},
         "alone": {**of, "kind": "recording", "parents": [],
