@@ -55,8 +55,9 @@ def with_noise(recording: Iterator[Events], noise: list[Events]) -> Iterator[Eve
         yield Events(*(np.concatenate([one, other.astype(one.dtype)]) for one, other in both))
 
 
-def test_real_noise_hardly_disturbs_a_simulated_slip(made: Made, noise: list[Events]) -> None:
+def test_real_noise_hardly_disturbs_a_simulated_slip(noise: list[Events], request: pytest.FixtureRequest) -> None:
     """Assert that noise of about as many events changes the rms error of a simulated slip by less than 0.1 px."""
+    made: Made = request.getfixturevalue("made")  # where there is no noise, nothing is made
     with open_recording(made.recordings[0]) as recording:
         rest_px, true_px = recording.dot_xy_px, recording.read("truth/dot_xy_px")
         assert rest_px is not None
