@@ -25,11 +25,16 @@ def as_answer(results: Path) -> str:
     of_methods = counts([entry for entry in entries if entry["kind"] == "method"])
     others = sum(entry["kind"] == NOT_APPLICABLE for entry in entries)
     total = sum(of_figures.values())
+    predicted = [entry for entry in entries if entry.get("role") == "prediction"]
+    agree = counts(predicted)
     methods = ", ".join(f"{count} {name}" for name, count in of_methods.items())
     inside, direction, missed = (of_figures.get(name, 0) for name in (INSIDE, DIRECTION, MISSED))
     return (
         f"**Of {total} figures and comparisons of the paper, {inside} are inside their spread in the simulation,"
-        f" {direction} more have the right direction, and {missed} are not reproduced.** Of"
+        f" {direction} more have the right direction, and {missed} are not reproduced.** {len(predicted)} are"
+        f" predictions: {agree.get(INSIDE, 0)} inside their spread, {agree.get(DIRECTION, 0)} in the right direction,"
+        f" {agree.get(MISSED, 0)} not reproduced. The other {total - len(predicted)} are fitted, may be fitted, or were"
+        " looked at while constants were chosen. Of"
         f" {sum(of_methods.values())} methods: {methods}. {others} rows are not applicable.\n"
     )
 
@@ -59,13 +64,13 @@ def as_figures(results: Path) -> str:
     """Return the table of all figures."""
     figures = [
         [
-            _number(one), one["what"], _paper(one), _ours(one), one["computed"].get("mark") or "",
+            _number(one), one["what"], _paper(one), _ours(one), one["role"], one["computed"].get("mark") or "",
             one["computed"]["verdict"],
         ]
         for one in filled(read(), results)["rows"]
         if one["kind"] == "figure"
     ]  # fmt: skip
-    return as_table(["row", "what", "paper", "evetac, simulated", "mark", "verdict"], figures) + "\n"
+    return as_table(["row", "what", "paper", "evetac, simulated", "role", "mark", "verdict"], figures) + "\n"
 
 
 def as_methods(results: Path) -> str:

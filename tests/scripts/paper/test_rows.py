@@ -13,6 +13,7 @@ from evetac_cli.evaluate import PAPER
 from evetac_cli.evaluate.common import marks
 from evetac_cli.evaluate.common.marks import Source
 from evetac_cli.evaluate.grasp import BALANCE_S, LIFT_S
+from evetac_cli.evaluate.likeness.facts import facts
 from evetac_cli.evaluate.slip import SEEDS, TRAINED_ON
 from scripts.paper import rows as paper_rows
 from scripts.reproduce import steps
@@ -75,6 +76,30 @@ def test_figures_have_tables() -> None:
     for one in FIGURES:
         assert one.get("column", "paper_success") in PAPER.columns, one["number"]
         assert {claim["row"] for claim in one.get("direction", []) if "row" in claim} <= numbers, one["number"]
+
+
+def test_roles_agree_with_the_constants() -> None:
+    """Assert that no constant was chosen by a prediction, and that figures which constants saw have that role."""
+    groups = json.loads((ROOT / "scripts" / "reproduce" / "seeds.json").read_text())["groups"]
+    near = {tuple(key) for group in groups for key in group.get("near", [])}
+    for one in FIGURES:
+        figure = paper_rows.published(one)
+        keys = [key for key, value in PAPER.figures.items() if value is figure]
+        if one["computed"].get("mark") == marks.FITTED:
+            assert one["role"] == "fit", one["number"]
+        if near.intersection(keys):
+            assert one["role"] in ("near", "fit"), one["number"]
+
+
+def test_about_half_of_the_figures_are_predictions() -> None:
+    """Assert that tracking, force, slip, its timing and grasps have predictions, and that each unit has a margin."""
+    predicted = [one for one in FIGURES if one["role"] == "prediction"]
+    assert {one["role"] for one in FIGURES} == {"fit", "near", "prediction"}
+    assert len(FIGURES) / 2 <= len(predicted) <= 0.75 * len(FIGURES)
+    for first in (19, 41, 69, 82, 91):
+        assert any(int(one["number"][:2]) == first for one in predicted), first
+    assert {one["computed"]["unit"] for one in FIGURES if "unit" in one["computed"]} <= CONTENT["margins"].keys()
+    assert {fact.name for fact in facts()} >= set(CONTENT["may_fit_likeness"])
 
 
 def test_methods_name_modules_and_tests() -> None:
