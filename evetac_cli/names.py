@@ -57,6 +57,7 @@ CONTROLLERS = {
 TRACKERS = {
     "stable": "evetac's own",
     "paper": "",
+    "paper-5-events": "paper, with 5 events to move a dot instead of 11",
     "official": "the authors' published code",
     "official-5ms": "the authors' code, run as in their readouts",
     "unregularised": "paper without the grid regulariser",

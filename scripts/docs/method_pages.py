@@ -26,6 +26,8 @@ PAPERS = "the paper"
 TRACKERS = {
     "paper": "The paper's tracker: one gradient step per slice, with the published constants. A regulariser keeps"
     " neighbouring dots together.",
+    "paper-5-events": "The paper's tracker, but a dot moves with 5 events or more in its ring instead of 11: the"
+    " published code counts two table entries for each event, so its 10 entries are 5 events.",
     "official": "The authors' published code, for dots with a true radius of 8 to 10 px. It loses dots of 15 px.",
     "official-5ms": "The same code as its two readouts run it by default: one step for the events of 5 ms.",
     "unregularised": "The paper's tracker without the grid regulariser: the comparison in the paper.",

@@ -226,7 +226,7 @@ def data_rate_evaluations(sizes: Sizes) -> dict[str, Command]:
 FORCE: Sizes = {
     "seed": 8_700,  # of the trajectories for training
     "judged": 93_500,
-    "trackers": ("paper", "stable"),
+    "trackers": ("paper", "paper-5-events", "stable"),
     "seeds": 3,
     "trials": 3,
     "others": ("second", "soft-gel", "stiff-gel"),

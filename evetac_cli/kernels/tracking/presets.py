@@ -86,6 +86,8 @@ _OFFICIAL = TrackerConstants(
 
 PRESETS: dict[str, TrackerConstants] = {
     "paper": TrackerConstants(),
+    # The paper's "more than 10 events" as its published code counts: 10 entries of a table in which an event has two.
+    "paper-5-events": TrackerConstants(min_events=4),
     "official": _OFFICIAL,
     # Both versions of that code, of 2024 and its rewrite without ROS (evetac_noros), use slices of 5 ms by default.
     # Each slice must then make 10 + 3 * 4 entries.

@@ -262,14 +262,15 @@ def test_order_of_dots_does_not_matter() -> None:
     assert np.abs(state.dot_xy_px[order] - other.dot_xy_px).max() < 1e-9
 
 
-@pytest.mark.parametrize(("ring", "inside", "moves"), [(10, 0, False), (11, 0, True), (10, 5, False)])
-def test_gate_opens_at_eleven_ring_events(ring: int, inside: int, moves: bool) -> None:
-    """Assert that a dot moves if and only if more than 10 events in its ring pull it; events inside do not count."""
-    state = single()
-    step(state, *columns([(318, 200)] * ring + [(302, 200)] * inside))
-    assert state.events_per_dot.tolist() == [ring + inside]
-    expected_x = 300 + 0.003 * 2 * 3 * ring if moves else 300
-    assert state.dot_xy_px[0] == pytest.approx([expected_x, 200], abs=1e-10)
+@pytest.mark.parametrize(("preset", "least"), [("paper", 11), ("paper-5-events", 5)])
+def test_gate_opens_at_so_many_ring_events(preset: str, least: int) -> None:
+    """Assert that a dot moves if and only if enough events in its ring pull it; events inside do not count."""
+    for ring, inside in ((least - 1, 0), (least, 0), (least - 1, 5)):
+        state = single(constants=PRESETS[preset])
+        step(state, *columns([(318, 200)] * ring + [(302, 200)] * inside))
+        assert state.events_per_dot.tolist() == [ring + inside]
+        expected_x = 300 + 0.003 * 2 * 3 * ring if ring == least else 300
+        assert state.dot_xy_px[0] == pytest.approx([expected_x, 200], abs=1e-10)
 
 
 def test_dots_stay_in_the_frame() -> None:
