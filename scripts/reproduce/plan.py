@@ -51,7 +51,10 @@ PAPER: tuple[Experiment, ...] = (
     ),
     Experiment(
         "tracking", "tracker presets compared on edges, slip and shear", "data/tracking", 2.0,
-        full={"seed": 92_000, "edges": 50, "presets": ("unregularised", "paper", "paper-5-events", "official", "stable")},
+        full={
+            "seed": 92_000, "edges": 50,
+            "presets": ("unregularised", "paper", "paper-5-events", "official", "stable"),
+        },
         small={"seed": 100, "edges": 1, "presets": ("paper", "stable")},
         steps=steps.tracking_steps, evaluations=steps.tracking_evaluations,
         tables=(tables.TRACKING_EDGE, tables.TRACKING_DISTANCE),

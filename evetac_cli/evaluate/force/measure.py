@@ -37,7 +37,7 @@ from evetac_cli.stages.force.train_force import (
 )
 from evetac_cli.stages.related_files import check_disjoint, named_files, recording_with_truth
 from evetac_cli.store.files import StageFile
-from evetac_cli.store.layout.ancestry import trajectories
+from evetac_cli.store.layout.ancestry import TRAINING, sensor_values, trajectories
 from evetac_cli.store.layout.provenance import Header
 
 METHOD = 4
@@ -155,16 +155,23 @@ def _models_for(tracks: StageFile, models: Models) -> list[tuple[Path, Header, F
 
 def _predict(path: Path, models: Models, params: EvaluateForce, noise: np.random.Generator) -> TrialForce:
     with StageFile(path, "tracks") as tracks:
-        selected_models = [model for _, _, model in _models_for(tracks, models)]
+        same_kind = _models_for(tracks, models)
+        selected_models = [model for _, _, model in same_kind]
         sensor, tracker = sensor_sort(tracks.header), _trackers(tracks.header)
         sensor_name = str(tracks.read("sensor/name"))
+        _, model_header, model = same_kind[0]
+        values = sensor_values(tracks.header)
+        if values is None:  # of a real sensor only its name is known
+            fitted = sensor_name in model.sensor_name.split(", ")
+        else:
+            learned = [row for row in trajectories([model_header]) if row["role"] == TRAINING]
+            fitted = values in {row["sensor_values"] for row in learned}
     samples = read_samples(path, params.samples, params.noise_n, noise)
     moved_px = samples.moved_px
     predicted_n = {
         "regression": np.stack([forces.apply_regression(model.regression, moved_px) for model in selected_models]),
         "network": np.stack([forces.apply_network(model.network, moved_px) for model in selected_models]),
     }
-    fitted = sensor_name in selected_models[0].sensor_name.split(", ")
     return TrialForce(path, sensor, tracker, sensor_name, fitted, samples, predicted_n)
 
 

@@ -40,6 +40,7 @@ from evetac_cli.stages.related_files import check_disjoint, recording_with_truth
 from evetac_cli.stages.touch import known_gel
 from evetac_cli.stages.touch.known_gel import SHEAR_MODULUS_PA, GelShape, GelWeights, KnownGel
 from evetac_cli.store.files import StageFile
+from evetac_cli.store.layout.ancestry import sensor_values
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings.read import Recording
 
@@ -119,6 +120,13 @@ def _headers(
     """
     headers, own_headers, names = [], [], []
     by_sensor: dict[str, list[Path]] = {}
+    values_of: dict[str, str | None] = {}
+    for path in (*files, *own):  # gels are kept by the sensor's name
+        with StageFile(path, "tracks") as tracks:
+            name, values = str(tracks.read("sensor/name")), sensor_values(tracks.header)
+        if values_of.setdefault(name, values) != values:
+            expected = f"the values that {name} has in the first of these files"
+            raise InputError("two sensors of one name", where=str(path), expected=expected, hint="evaluate them apart")
     for path in files:
         with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
             known_sensor(recording)

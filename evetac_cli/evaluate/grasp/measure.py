@@ -15,6 +15,7 @@ object, by class of mass, and whether it follows the weight, only for objects th
 import json
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.marks import Source
 from evetac_cli.evaluate.common.report import report, report_job
 from evetac_cli.evaluate.common.rows import each, ends, mean, quantile, resampled, sd
-from evetac_cli.evaluate.grasp import PAPER, EvaluateGrasp
+from evetac_cli.evaluate.grasp import PAPER, PAPERS_SENSOR, EvaluateGrasp
 from evetac_cli.evaluate.subject import grouped
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
@@ -34,7 +35,7 @@ from evetac_cli.kernels import estimates
 from evetac_cli.kernels.grip.load_law import MARGIN
 from evetac_cli.sim import grasp_outcome
 from evetac_cli.sim.scenes.shared import GRAVITY_M_S2
-from evetac_cli.sim.setup.plan import Plan, read_plan
+from evetac_cli.sim.setup.plan import Plan, one_sensor, read_plan
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings import slip_grid
@@ -131,7 +132,7 @@ def trial_row(path: Path, header: Header) -> dict[str, Any]:
     names |= {
         "carried_g": mass_g,
         "scene": plan.scene.name,
-        "sensor": plan.sensor_name,
+        "sensor": _sensor_word(plan),
         "gel": "cut" if plan.scene.gel.cut else "closed",
     }
     return {**names, **figures, slip_grid.COLUMN: nodes}
@@ -240,6 +241,13 @@ def with_detectors(trials: Rows, headers: Sequence[Header]) -> Rows:
     return rows
 
 
+def _sensor_word(plan: Plan) -> str:
+    """Return the sensor's name, which says so if the paper's sensor had other values than it has now."""
+    papers = one_sensor(PAPERS_SENSOR)
+    same = plan.sensor_name != PAPERS_SENSOR or replace(plan.sensor, summary=papers.summary) == papers
+    return plan.sensor_name if same else f"{plan.sensor_name} with other values"
+
+
 def describe_setting(plan: Plan, planned: dict[str, Any]) -> str:
     """Return the words for a setting: its controller and all non-default choices, without object and trial."""
     gain, latency_ms, control_hz = (planned.get(name, usual) for name, usual in USUAL.items())
@@ -250,7 +258,7 @@ def describe_setting(plan: Plan, planned: dict[str, Any]) -> str:
         (f"gain {gain:g}", gain != USUAL["gain"]),
         (f"margin {margin:g}", margin != MARGIN),
         (plan.scene.name, plan.scene.name != "lift"),
-        (plan.sensor_name, plan.sensor_name != "evetac"),
+        (_sensor_word(plan), _sensor_word(plan) != PAPERS_SENSOR),
         (f"two fingers{second}", plan.second is not None),
         ("closed gel", not plan.scene.gel.cut),
         (f"{latency_ms} ms late", latency_ms != USUAL["latency_ms"]),

@@ -6,6 +6,7 @@ method and parents of each file. A file that is made from a trained one has the 
 header of that ancestor.
 """
 
+import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from types import NoneType
@@ -28,6 +29,7 @@ COLUMNS: dict[str, tuple[type, ...]] = {
     "imported": (bool,),  # from a file of another program
     "object": (int, str, NoneType),
     "sensor": (str, NoneType),
+    "sensor_values": (str, NoneType),  # digest of its values, by which sensors are compared; None: only a name is known
     "seed": (int, NoneType),
     "simulated": (bool,),
     "labels": (str, NoneType),  # method
@@ -60,6 +62,19 @@ def recording_of(header: Header, history: Header) -> Header | None:
                 passed.add(parent)
                 waiting.append(history[parent])
     return next(iter(recordings.values())) if len(recordings) == 1 else None
+
+
+def sensor_values(header: Header) -> str | None:
+    """Return a digest of the values of the simulated sensor from whose recording a file was made, whatever its name.
+
+    The one-line description does not count. None if there is no such recording, or several.
+    """
+    recording = recording_of(header, header.get("history", {}))
+    row = None if recording is None else recording["parameters"].get("sensor_row")
+    if not isinstance(row, dict):
+        return None
+    text = json.dumps({key: value for key, value in row.items() if key != "summary"}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def trajectories(headers: Iterable[Mapping[str, Any]]) -> list[Row]:
@@ -123,10 +138,11 @@ def with_tables(header: Header, rows: str, ancestors: str) -> Header:
 
 def checked_rows(table: Any) -> list[Row]:
     """Return rows of trajectories as they are read; ValueError for other columns or types."""
+    table = [{"sensor_values": None, **row} for row in table]  # stored models of before have names alone
     for row in table:
         if row.keys() != COLUMNS.keys() or not all(isinstance(row[name], COLUMNS[name]) for name in COLUMNS):
             raise ValueError("a row of its trajectories has other columns")
-    return list(table)
+    return table
 
 
 def _compact(value: Any) -> str:
@@ -186,6 +202,7 @@ def _row(recording: Header, role: str, around: list[Header], *, truth: bool) -> 
         "imported": bool(parameters.get("source")),
         "object": parameters.get("object"),
         "sensor": parameters.get("sensor"),
+        "sensor_values": sensor_values(recording),
         "seed": recording["seed"],
         "simulated": recording["simulated"],
         "labels": None if labels is None else str(labels),

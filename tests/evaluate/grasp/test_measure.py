@@ -145,6 +145,7 @@ def test_the_paper_s_failures_make_its_93_percent() -> None:
         (first_plan("drop-20g").parameters(), "paper, drop-20g"),
         (first_plan("lift", sensor="second", gel="closed").parameters(), "paper, second, closed gel"),
         ({"latency_ms": 20, "control_hz": 100.0}, "paper, 20 ms late, 100 Hz"),
+        ({"sensor_row": {**PLANNED["sensor_row"], "dot_radius_px": 11.0}}, "paper, evetac with other values"),
     ],
 )
 def test_a_setting_says_what_is_unusual(changes: dict, setting: str) -> None:

@@ -33,7 +33,7 @@ def tracks_of_shear(
 ) -> Path:
     """A recording without events and the tracks of its dots, all of which move as one; the tracks' path.
 
-    `softer`: how many times as far the dots move under the same force, on another sensor_name.
+    `softer`: how many times as far the dots move under the same force, on a sensor of the same name but other values.
     """
     rng = np.random.default_rng(number)
     knots = rng.uniform(-10, 10, (9, 2))
@@ -43,9 +43,9 @@ def tracks_of_shear(
     force_n = pressed[:, None] * np.stack([np.interp(time, at, knots[:, axis]) for axis in (0, 1)], axis=1)
     rest = np.stack(np.meshgrid(60.0 + 62.0 * np.arange(columns), 40.0 + 62.0 * np.arange(7)), axis=-1)
     dots = (rest.reshape(1, -1, 2) + force_n[:, None] * softer / N_PX).astype(np.float32)
-    recipe = Recipe("recording", 1, {"softer": softer, "columns": columns}, seed=number, simulated_source=truth)
-    name = "evetac" if softer == 1 else "soft-gel"
-    return write_trial(folder, recipe, rest, dots, 20.0 * pressed, force_n, name, preset=preset)
+    parameters = {"sensor_row": {"shear_modulus_pa": 145e3 / softer}, "columns": columns}
+    recipe = Recipe("recording", 1, parameters, seed=number, simulated_source=truth)
+    return write_trial(folder, recipe, rest, dots, 20.0 * pressed, force_n, "evetac", preset=preset)
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +123,7 @@ def test_another_gel_is_reported_as_it_is(fits: Path, tmp_path: Path) -> None:
     _, outcome = run_valid(evaluate_force, [soft], chosen, tmp_path / "out")
     regression = outcome.rows[0]
     assert regression["gain"] == pytest.approx(1.3, abs=0.01)
-    assert regression["sensor_name"] == "soft-gel"
+    assert regression["sensor_name"] == "evetac"
     assert not regression["fitted"]
     assert regression["paper_mae_n_x"] is None
     both, fitted = (

@@ -35,7 +35,7 @@ def model(*parents: Header, learned: int, **parameters: Any) -> Recipe:
     return Recipe("model", 9, {"trained_on": learned, **parameters}, parents=parents)
 
 
-KNOWN = recording(1, object=3, sensor="evetac", scene={"name": "slip"})
+KNOWN = recording(1, object=3, sensor="evetac", scene={"name": "slip"}, sensor_row={"dot_radius_px": 15.0})
 UNKNOWN = recording(2, source="a.aedat4")
 CUT = Recipe("recording", 1, {"object": 5}, seed=3, parents=(recording(4, object=7),)).header()
 FIRST = model(features(KNOWN), features(UNKNOWN, None), learned=1, learn_true_slip_share=True)
@@ -46,11 +46,19 @@ def test_a_row_for_each_recording() -> None:
     known, unknown = FIRST.header()["trajectories"]
     assert known == {
         "recording": KNOWN["id"], "role": "trained on", "scene": "slip", "imported": False, "object": 3,
-        "sensor": "evetac", "seed": 1, "simulated": True, "labels": "truth", "tracker": "stable",
+        "sensor": "evetac", "sensor_values": known["sensor_values"],
+        "seed": 1, "simulated": True, "labels": "truth", "tracker": "stable",
         "true_slip_share": True,
     }  # fmt: skip
+    assert len(known["sensor_values"]) == 16
     assert unknown["role"] == "validated on" and unknown["imported"] and not unknown["true_slip_share"]
-    assert {name for name, value in unknown.items() if value is None} == {"scene", "object", "sensor", "labels"}
+    assert {name for name, value in unknown.items() if value is None} == {
+        "scene",
+        "object",
+        "sensor",
+        "sensor_values",
+        "labels",
+    }
 
 
 def test_what_is_behind_a_base_and_a_recording_is_kept() -> None:
