@@ -64,8 +64,9 @@ def slots(recipe: Mapping[str, Any], size: str) -> list[Slot]:
 
 def candidates(recipe: Mapping[str, Any], slot: Slot) -> Iterator[tuple[str, int]]:
     """Yield sensors of a trial in order of preference, each with a shift in the list of objects."""
-    if recipe["splits"][slot.split]["sensor"] == "evetac":
-        yield from (("evetac", shift) for shift in range(TRIES))
+    known = recipe["splits"][slot.split]["sensor"]
+    if known != "randomized":
+        yield from ((known, shift) for shift in range(TRIES))
         return
     split = list(recipe["splits"]).index(slot.split)
     first = recipe["first_sensor"] + SPLIT_SEEDS * split + (slot.place + 2 * KINDS.index(slot.kind)) % recipe["sensors"]

@@ -33,9 +33,9 @@ def test_seeds_and_sensors_are_those_of_the_benchmark() -> None:
         }
         for slot in full
     }
-    numbers = {int(name.partition(":")[2]) for names in sensors.values() for name in names if name != "evetac"}
+    numbers = {int(name.partition(":")[2]) for names in sensors.values() for name in names if name != "small-dots"}
     assert all(95_000 <= number <= 95_999 for number in numbers | {slot.seed for slot in full})
-    assert sensors["known-sensor"] == {"evetac"}
+    assert sensors["known-sensor"] == {"small-dots"}
     assert not sensors["known-object"] & sensors["all-new"]
 
 
