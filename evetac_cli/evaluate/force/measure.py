@@ -40,7 +40,7 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.ancestry import TRAINING, sensor_values, trajectories
 from evetac_cli.store.layout.provenance import Header
 
-METHOD = 4
+METHOD = 5
 SENSORS = ("events", "frames")  # in which dots are tracked; both are in the paper's table
 METHODS = ("regression", "network")
 

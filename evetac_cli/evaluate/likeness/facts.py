@@ -19,6 +19,7 @@ from typing import Any, Literal
 from evetac_cli import resources
 from evetac_cli.evaluate import PAPER
 from evetac_cli.kernels import estimates
+from evetac_cli.sim.setup import sensor_file
 from evetac_cli.text_files import read_toml
 
 FIT, PREDICTION, UNTOLD = "used to fit", "kept as a prediction", "cannot be told"
@@ -166,7 +167,7 @@ def constant_of(path: Sequence[str]) -> Values:
         name, *rest = rest
         found: Any = read_toml(resources.SCENES / f"{name}.toml")
     else:
-        found = resources.table(kind)
+        found = sensor_file.rows() if kind == "sensors" else resources.table(kind)
     if rest[0] == EVERY:
         values = [row[rest[1]] for row in found.values()]
         return float(min(values)), float(max(values))
