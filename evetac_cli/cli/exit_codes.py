@@ -91,9 +91,8 @@ def open_streams() -> None:
     for number, mode in ((0, os.O_RDONLY), (1, os.O_RDONLY), (2, os.O_WRONLY)):
         try:
             os.fstat(number)
-        except (
-            OSError
-        ):  # closed, e.g. by `>&-`: reserved, so that no other file gets this number and writing still fails
+        except OSError:
+            # Closed, e.g. by `>&-`: reserved, so that no other file gets this number and writing still fails.
             os.set_inheritable(os.open(os.devnull, mode), True)
     # a copy of 1: the file of this number is another one while stdout is kept for JSON (console.stdout_for_json)
     output, messages = _Output(os.dup(1), "w"), _Messages(2, "w", closefd=False)

@@ -120,22 +120,22 @@ def _headers(
     """
     headers, own_headers, names = [], [], []
     by_sensor: dict[str, list[Path]] = {}
-    values_of: dict[str, str | None] = {}
-    for path in (*files, *own):  # gels are kept by the sensor's name
-        with StageFile(path, "tracks") as tracks:
-            name, values = str(tracks.read("sensor/name")), sensor_values(tracks.header)
-        if values_of.setdefault(name, values) != values:
-            expected = f"the values that {name} has in the first of these files"
-            raise InputError("two sensors of one name", where=str(path), expected=expected, hint="evaluate them apart")
-    for path in files:
+    values_of: dict[str, str | None] = {}  # of the sensors, by name: gels are kept by it
+    for number, path in enumerate((*files, *own)):
         with StageFile(path, "tracks") as tracks, recording_with_truth(tracks) as recording:
-            known_sensor(recording)
-            headers.append(tracks.header)
-            names.append(str(tracks.read("sensor/name")))
-    for path in own:
-        with StageFile(path, "tracks") as tracks, recording_with_truth(tracks):
-            own_headers.append(tracks.header)
-            by_sensor.setdefault(str(tracks.read("sensor/name")), []).append(path)
+            header, name = tracks.header, str(tracks.read("sensor/name"))
+            values = sensor_values(header)
+            if values_of.setdefault(name, values) != values:
+                expected = f"the values that {name} has in the first of these files"
+                hint = "evaluate them apart"
+                raise InputError("two sensors of one name", where=str(path), expected=expected, hint=hint)
+            if number < len(files):
+                known_sensor(recording)
+                headers.append(header)
+                names.append(name)
+            else:
+                own_headers.append(header)
+                by_sensor.setdefault(name, []).append(path)
     if own:
         check_disjoint(own_headers, headers, "evaluated on", list(files))
         missing = sorted(set(names) - set(by_sensor))

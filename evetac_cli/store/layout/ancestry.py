@@ -138,7 +138,7 @@ def with_tables(header: Header, rows: str, ancestors: str) -> Header:
 
 def checked_rows(table: Any) -> list[Row]:
     """Return rows of trajectories as they are read; ValueError for other columns or types."""
-    rows: list[Row] = [{"sensor_values": None, **row} for row in table]  # models of before have names alone
+    rows: list[Row] = [{"sensor_values": None, **row} for row in table]  # a model made earlier has no such column
     for row in rows:
         if row.keys() != COLUMNS.keys() or not all(isinstance(row[name], COLUMNS[name]) for name in COLUMNS):
             raise ValueError("a row of its trajectories has other columns")

@@ -197,3 +197,10 @@ def test_two_contacts_with_a_reading_each(tmp_path: Path) -> None:
     (own / "trial1.force.csv").write_text("t_s,shear_x_n,shear_y_n,normal_n\n0.01,0,0,\n0.2,0,0,\n0.7,0,0,\n")
     _, outcome = run_valid(train_force, [own / path.name], TOUCH, own)
     assert (outcome.rows[0]["contacts"], outcome.rows[0]["readings"]) == (2, 2)
+
+
+def test_two_sensors_of_one_name_are_refused(tmp_path: Path) -> None:
+    """Assert that a second gel under the name of the first is not taken for it."""
+    files = [write_contact(tmp_path, number, None, stiffer=number) for number in (1, 2)]
+    with pytest.raises(InputError, match="two sensors of one name"):
+        run_valid(evaluate_force, files, EvaluateForce(), tmp_path / "r.report.h5")
