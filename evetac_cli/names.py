@@ -74,7 +74,7 @@ RECORDED_SCENES = (
 )
 GRASPED_SCENES = ("lift", "sideways", "drop-20g", "drop-100g")
 SENSORS = (
-    *("evetac", "small-dots", "paper-dots", "official-dots", "synthetic-dots", "second", "bare-dvxplorer"),
+    *("evetac", "small-dots", "official-dots", "synthetic-dots", "second", "bare-dvxplorer"),
     *("soft-gel", "stiff-gel", "tacchi-gel", "realistic", "randomized-narrow", "randomized"),
 )
 

@@ -27,7 +27,7 @@ from evetac_cli.jobs import Row
 from scripts.reproduce import compare, frozen
 from scripts.reproduce.checks import CHECKS, NOT_CHECKED, SCRIPTS, SIZES
 from scripts.reproduce.experiment import Check, Experiment, ScriptCheck
-from scripts.reproduce.facts import RESULTS, Refusal, commit_facts, hours, model_files, spending
+from scripts.reproduce.facts import RESULTS, Refusal, commit_facts, hours, made_on, model_files, spending
 from scripts.reproduce.perform import MODELS, Running, evaluate, expand, in_order, perform, sizes_for
 from scripts.reproduce.plan import EXPERIMENTS
 from scripts.reproduce.steps import Command, Sizes
@@ -373,6 +373,8 @@ def check(names: Sequence[str], out: Path, running: Running, *, dry_run: bool = 
     if not as_json or dry_run:
         freeze = frozen.read()
         print(frozen.in_words(freeze, frozen.changed(freeze)))
+        if line := made_on(json.loads((RESULTS / f"{name}.json").read_text()) for name in estimated):
+            print(f"{line} Check them at their commits: figures of `evetac` differ here.")
         for name, needed_h in estimated.items():
             done = " (done)" if finished(out, name) else ""
             whole = name in plans and plans[name].check.training and not plans[name].archives

@@ -4,6 +4,7 @@ The processor time of an experiment is summed over its commands, also over those
 spent.json of its folder.
 """
 
+import hashlib
 import importlib
 import json
 import os
@@ -12,13 +13,14 @@ import resource
 import subprocess
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from evetac_cli.cli.config import with_config
 from evetac_cli.jobs import Row
 from evetac_cli.resources import MODEL
-from evetac_cli.store.layout.ancestry import EARLIER
+from evetac_cli.store.layout.ancestry import EARLIER, row_digest
 from scripts.reproduce import frozen
 from scripts.reproduce.seeds import seeds_of
 
@@ -52,7 +54,28 @@ def commit_facts() -> Row:
     """Return the commit of a table, in words too, and whether the tree differs from it."""
     head, changed = _commit()
     words = f"{head}, with uncommitted changes" if changed else head
-    return {"made": f"commit {words}", "commit": head, "uncommitted_changes": changed}
+    return {
+        "made": f"commit {words}",
+        "commit": head,
+        "uncommitted_changes": changed,
+        "default_sensor": default_sensor(),
+    }
+
+
+@cache
+def default_sensor() -> str:
+    """Return a digest of the values of `evetac`, by which a table says on which of its versions it was made."""
+    from evetac_cli.sim.setup.plan import one_sensor
+    from evetac_cli.sim.setup.tables import as_table
+
+    return row_digest(as_table(one_sensor("evetac")))
+
+
+def made_on(tables: Iterable[Mapping[str, Any]]) -> str:
+    """Return a line on the tables that were made before `evetac` had its dots of 15 px; empty if none was."""
+    older = [table for table in tables if table.get("default_sensor") != default_sensor()]
+    at = ", ".join(sorted({str(table["commit"]) for table in older if "commit" in table}))
+    return f"Made{f' at {at}' * bool(at)} on `small-dots`, then the values of `evetac`." if older else ""
 
 
 def commit_in_words() -> str:

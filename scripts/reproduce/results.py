@@ -16,11 +16,12 @@ import re
 from pathlib import Path
 
 from scripts.paper.page import PAGES as OF_PAPER
+from scripts.paper.rows import read as paper_rows
 from scripts.paper.summary import SUMMARY
 from scripts.reproduce import frozen
-from scripts.reproduce.facts import RESULTS, ROOT
+from scripts.reproduce.facts import RESULTS, ROOT, made_on
 from scripts.reproduce.plan import STUDIES
-from scripts.reproduce.table_text import as_table, fill, measured_text, published, text
+from scripts.reproduce.table_text import Result, as_table, fill, measured_text, published, text
 
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted((DOCS / "evidence").glob("*.md"))]
@@ -47,22 +48,39 @@ def summary(results: Path) -> str:
     return "\n" + as_table(["what", "simulated", "n", "paper", "compared"], rows) + "\n"
 
 
+def made_from(name: str, results: Path, *, measured: bool = False) -> tuple[str, list[Result]]:
+    """Return the Markdown of a mark, and the tables whose figures it shows."""
+
+    def read(path: str) -> Result:
+        table: Result = json.loads((results / f"{path}.json").read_text())
+        return table
+
+    if measured:
+        table = read(f"{MEASURED}/{name}")
+        return measured_text(table), [table]
+    if name == FREEZE:
+        freeze = frozen.read()
+        return frozen.in_words(freeze, frozen.changed(freeze)) + "\n", []
+    if name == "summary":
+        return summary(results), [read(figure.table) for figure in SUMMARY]
+    if name in OF_ROWS:
+        if name in OF_PAPER:
+            tables = sorted({row["table"] for row in paper_rows()["rows"] if "table" in row})
+            return OF_PAPER[name](results), [read(table) for table in tables if (results / f"{table}.json").exists()]
+        own = name.replace("-", "/", 1)  # likeness-grid is made from likeness/grid
+        return OF_ROWS[name](results), [read(own if (results / f"{own}.json").exists() else "likeness/after")]
+    table = read(name)
+    return text(table), [table]
+
+
 def fill_page(page: str, results: Path) -> str:
     """Return the page with every table in it made anew from its file in `results`."""
 
     def replace(match: re.Match[str]) -> str:
-        if match["kind"] == MEASURED:
-            stored = json.loads((results / MEASURED / f"{match['name']}.json").read_text())
-            return f"{match['begin']}\n{measured_text(stored)}\n{match['end']}"
-        if match["name"] == "summary":
-            return f"{match['begin']}{summary(results)}\n{match['end']}"
-        if match["name"] == FREEZE:
-            freeze = frozen.read()
-            return f"{match['begin']}\n{frozen.in_words(freeze, frozen.changed(freeze))}\n\n{match['end']}"
-        if match["name"] in OF_ROWS:
-            return f"{match['begin']}\n{OF_ROWS[match['name']](results)}\n{match['end']}"
-        result = json.loads((results / f"{match['name']}.json").read_text())
-        return f"{match['begin']}\n{text(result)}\n{match['end']}"
+        made, tables = made_from(match["name"], results, measured=match["kind"] == MEASURED)
+        if line := made_on(tables):
+            made = f"{made}\n{line}\n".lstrip("\n")
+        return f"{match['begin']}\n{made}\n{match['end']}"
 
     pattern = (
         r"(?P<begin><!-- (?P<kind>table|measured) (?P<name>[\w-]+) -->\n)(?:.*?)(?P<end><!-- end of (?P=name) -->)"

@@ -365,7 +365,7 @@ DATA_RATE = Table(
     ),
     notes=(
         f"The paper counts {COLUMNS} columns for both sensors, without the window. The object is unknown: its mass,"
-        " 1.15 kg for every object, was fitted to the share of object 1 about slip. The shares of the whole trajectory"
+        " 550 g for every object, was fitted to the share of object 1 about slip. The shares of the whole trajectory"
         " and of contact are predictions.",
     ),
 )

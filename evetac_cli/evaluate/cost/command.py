@@ -19,7 +19,7 @@ from evetac_cli.evaluate.cost import simulator as simulator_cost
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.store.files import header_of
 
-METHOD = 6
+METHOD = 7
 
 
 class CostPart(NamedTuple):

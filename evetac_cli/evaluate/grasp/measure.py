@@ -40,7 +40,7 @@ from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.recordings import slip_grid
 
-METHOD = 6
+METHOD = 7
 ALIKE = ("scene", "sensor", "gel", "slip_detector", "tracker", "slip_threshold")  # of all trials of a setting
 MEANS = (
     "opening_after_lift_ticks",

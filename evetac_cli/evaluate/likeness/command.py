@@ -45,7 +45,7 @@ from evetac_cli.store.recordings.read import open_recording
 if TYPE_CHECKING:
     from evetac_cli.evaluate.likeness.measures import Slip
 
-METHOD = 2
+METHOD = 3
 SLIPS = ("slip", "slip-varied")  # scenes whose slips are used to evaluate the single threshold
 HERE = "these recordings"  # origin of a figure
 SHARES = "share_"  # prefix of measures that are averaged, as in the paper

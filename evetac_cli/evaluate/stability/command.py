@@ -17,7 +17,7 @@ from evetac_cli.evaluate.stability import EvaluateStability, grasp, tracker
 from evetac_cli.evaluate.stability import simulator as simulator_stability
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 
-METHOD = 4
+METHOD = 5
 
 
 class StabilityPart(NamedTuple):

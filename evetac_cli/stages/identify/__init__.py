@@ -29,7 +29,7 @@ from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.read import UNKNOWN_SENSOR, open_recording
 
 OUTPUT = "sensor"
-METHOD = 4
+METHOD = 5
 
 
 def jobs(files: list[Path], params: Identify, out: Path | None) -> list[Job]:

@@ -65,14 +65,17 @@ def recording_of(header: Header, history: Header) -> Header | None:
 
 
 def sensor_values(header: Header) -> str | None:
-    """Return a digest of the values of the simulated sensor from whose recording a file was made, whatever its name.
+    """Return the `row_digest` of the simulated sensor from whose recording a file was made, whatever its name.
 
-    The one-line description does not count. None if there is no such recording, or several.
+    None if there is no such recording, or several.
     """
     recording = recording_of(header, header.get("history", {}))
     row = None if recording is None else recording["parameters"].get("sensor_row")
-    if not isinstance(row, dict):
-        return None
+    return row_digest(row) if isinstance(row, dict) else None
+
+
+def row_digest(row: Mapping[str, Any]) -> str:
+    """Return a digest of the values of a sensor; its one-line description does not count."""
     text = json.dumps({key: value for key, value in row.items() if key != "summary"}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 

@@ -10,7 +10,7 @@ from evetac_cli.commands.train import Train
 from evetac_cli.evaluate.slip.tables import TRUE_SLIP_SHARE
 from evetac_cli.kernels.slip.training import PRESETS
 from scripts.paper.summary import Figure
-from scripts.reproduce import results, table_text
+from scripts.reproduce import facts, results, table_text
 
 DOCS = results.ROOT / "docs"
 LEARNED_TRUTH = range(4, 7)  # versions of `train` whose preset adamw always learned it from simulated recordings
@@ -71,8 +71,17 @@ def test_the_summary_takes_cells_of_tables(tmp_path: Path, monkeypatch: pytest.M
         "x\n<!-- table summary -->\n\n| what | simulated | n | paper | compared |\n"
         "| --- | --- | --- | --- | --- |\n"
         "| kept by a (before the freeze, commit abc1234) | 0.50 | 3 trials | 0.80 | fitted |\n"
-        "| kept by b (before the freeze, commit abc1234) | 1.00 | 3 trials |  |  |\n\n<!-- end of summary -->\n"
+        "| kept by b (before the freeze, commit abc1234) | 1.00 | 3 trials |  |  |\n\n"
+        "Made at abc1234 on `small-dots`, then the values of `evetac`.\n\n<!-- end of summary -->\n"
     )
+
+
+def test_a_table_of_the_default_sensor_of_today_does_not_name_it() -> None:
+    """Assert that only tables that were made with other values of `evetac` say so, with their commits."""
+    today = {"default_sensor": facts.default_sensor(), "commit": "aaa"}
+    assert facts.made_on([today]) == ""
+    line = facts.made_on([today, {"commit": "ccc"}, {"commit": "bbb", "default_sensor": "another"}, {}])
+    assert line == "Made at bbb, ccc on `small-dots`, then the values of `evetac`."
 
 
 def test_a_long_table_is_folded() -> None:
