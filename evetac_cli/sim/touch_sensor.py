@@ -46,7 +46,7 @@ SLICE_NS = SLICE_US * 1000
 PUSHER_N_S_M = 10.0  # damping of the pusher: an excess of 0.1 N slides the object at 10 mm/s
 PUSHER_ARM_M = 5e-3  # lever arm at which the same damper resists rotation
 SURFACE_STEP_M = 1e-6  # a surface that has moved along the gel by less presses as before
-KINETIC_SHARE, MEMORY_UM, PRESSURE_EXPONENT = 0.6, 50.0, 0.67  # middle of the ranges of evetac's scenes
+STRIBECK_MM_S = 10.0  # about the middle of the range of evetac's scenes
 # Beyond these limits a number is probably in the wrong unit.
 LONGEST_S, FARTHEST_M, FASTEST_M_S, FASTEST_RAD_S, MOST_N = 10.0, 0.1, 10.0, 100.0, 1000.0
 
@@ -178,18 +178,16 @@ class TouchSensor:
             else sampling.sample_sensor(sensor_or_ranges, mechanics)
         )
         touched = _touched(object)
-        share = KINETIC_SHARE if touched.kinetic_share is None else touched.kinetic_share
+        share = touched.kinetic_share
+        if share is None:
+            share = sum(Randomised.kinetic_share) / 2
         scene = Scene(
             name="touch",
             kind="press",
             summary="another simulator drives the object",
             time=SceneTimes(),
             gel=GelSettings(cut=gel == "cut"),
-            randomise=Randomised(
-                kinetic_share=(share, share),
-                memory_um=(MEMORY_UM, MEMORY_UM),
-                pressure_exponent=(PRESSURE_EXPONENT, PRESSURE_EXPONENT),
-            ),
+            randomise=Randomised(kinetic_share=(share, share), stribeck_mm_s=(STRIBECK_MM_S, STRIBECK_MM_S)),
             solver=with_given(Solver(), solver, "TouchSensor"),
         )
         self.sampled = sampling.sample_trial(scene, replace(touched, kinetic_share=None), one, mechanics)

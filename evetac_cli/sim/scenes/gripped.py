@@ -152,8 +152,8 @@ class GraspSimulation:
         assert plan.object is not None
         self.sampled = sampled = sample_trial(plan.scene, plan.object, plan.sensor, mechanics, plan.object_name)
         # each part has its own stream, and draws from it only if a scene names the part
-        of_hand, of_encoder, of_commands = mechanics.spawn(3)
-        self.pads = pads = Pads(plan, sampled, timer)
+        of_hand, of_encoder, of_commands, of_surface = mechanics.spawn(4)
+        self.pads = pads = Pads(plan, sampled, of_surface, timer)
         self.finger = FingerDrive(plan, sampled, pads.curve, pads.slip_limit_n, of_encoder, of_commands, timer)
         if plan.scene.kind == "ramp":
             pads.close(self.finger.state)

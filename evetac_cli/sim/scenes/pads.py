@@ -19,11 +19,13 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.arrays import Floats
+from evetac_cli.events import SLICES_PER_S
 from evetac_cli.sim import gripper
 from evetac_cli.sim.gel import contact, gel
 from evetac_cli.sim.gel.adaptive import Slice, Stepper
 from evetac_cli.sim.gel.cell_gaps import CellGaps
 from evetac_cli.sim.gel.friction import PressureLaw
+from evetac_cli.sim.gel.roughness import Roughness
 from evetac_cli.sim.scenes.gel_view import GelView
 from evetac_cli.sim.scenes.shared import (
     GRAVITY_M_S2,
@@ -88,8 +90,8 @@ class Pads:
     gripper. views: followed through the steps of a slice.
     """
 
-    def __init__(self, plan: Plan, sampled: SampledTrial, timer: Timer) -> None:
-        """Place the object between undeformed pads, without pressure."""
+    def __init__(self, plan: Plan, sampled: SampledTrial, of_surface: np.random.Generator, timer: Timer) -> None:
+        """Place the object between undeformed pads, without pressure; of_surface: random stream of its roughness."""
         scene, object, sensor = plan.scene, plan.object, plan.sensor
         assert object is not None
         self._sampled, self._solver, self.friction = sampled, scene.solver, friction_of(sampled)
@@ -117,6 +119,12 @@ class Pads:
         second_pad = None if self.second is None else self.second.start(self.first)
         self._states = (self.first,) if second_pad is None else (self.first, second_pad)
         self.slip_limit_n = self._limit_n(mass_kg)
+        rough = scene.roughness
+        self._roughness = tuple(
+            Roughness(state, rough.friction_sd, rough.length_mm * 1e-3, of_surface)
+            for state in (self._states if rough is not None else ())
+        )
+        self._smooth: list[Floats | None] = []  # friction factors of the states without roughness
         self._slices = GelSlices(self.first, self._solver, second_pad, timer)
         self._before = tuple(state.copy() for state in self._states)  # a slice may have to be repeated
         self._pressed_m = math.nan  # indentation for which the shares of the nodes were computed
@@ -138,6 +146,13 @@ class Pads:
             self.shares = press(self.first, self._pressed_m, self.gaps, self.friction_factor, self.law)
             if self.second is not None:
                 self.second.press(self.curve, finger.closing_ticks, self.gaps, self.law)
+            self._smooth = [state.friction_factor for state in self._states]
+
+    def _roughen(self, lasts_s: float) -> None:
+        """Set the friction of the nodes to that of the spots of the object on which they are, or slide."""
+        for state, smooth, roughness in zip(self._states, self._smooth, self._roughness, strict=False):
+            spots = roughness.factor(lasts_s)
+            state.friction_factor = spots if smooth is None else smooth * spots
 
     def advance(
         self,
@@ -150,6 +165,7 @@ class Pads:
 
         force_n: normal force at start and end of the slice.
         """
+        self._roughen(1 / SLICES_PER_S)
         callbacks = [each for view in self.views if (each := view.begin()) is not None]
         each = _all(callbacks) if len(callbacks) > 1 else callbacks[0] if callbacks else None
         twist = None if speed_m_s is None else self._along_gravity(speed_m_s)
@@ -184,6 +200,7 @@ class Pads:
                 for table in (self.curve.indentation_m, self.curve.force_n)
             )
             self.press(finger)
+            self._roughen(CLOSING_S / CLOSING_STEPS)
             second_shares = None if self.second is None else self.second.shares
             force_n, nothing = (before_n, finger.force_n), (0.0, 0.0, 0.0)
             twist = nothing if step < CLOSING_STEPS else None

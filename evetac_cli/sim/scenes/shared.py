@@ -119,11 +119,12 @@ def pressure_law(sampled: SampledTrial) -> PressureLaw | None:
 def press(
     state: gel.GelState, indentation_m: float, gaps: CellGaps, own_factor: Floats | None, law: PressureLaw | None
 ) -> Floats:
-    """Return each node's share of the normal force at an indentation; a law also sets the gel's friction factor.
+    """Return each node's share of the normal force at an indentation, and set the gel's friction factor.
 
     own_factor: (rows, columns), factor on the friction of each node at any pressure, from `friction_factor`.
     """
     shares = contact.pressure(indentation_m, gaps, 1.0)
+    state.friction_factor = own_factor
     if law is not None:
         factor = law.factor(indentation_m, gaps, shares)
         state.friction_factor = factor if own_factor is None else factor * own_factor

@@ -172,6 +172,9 @@ PARTS = (
         _pressure_matters,
         gripped=True,
     ),
+    ScenePart(
+        "roughness of the object", ("scene.roughness.friction_sd", "scene.roughness.length_mm"), gripped=True
+    ),
     ScenePart("slow creep", ("sensor.creep.share", "sensor.creep.time_s")),
     ScenePart(
         "what touches",

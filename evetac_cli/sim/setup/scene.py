@@ -158,14 +158,18 @@ class GelSettings(Table):
 
 @dataclass(frozen=True, kw_only=True)
 class Randomised(Table):
-    """Ranges from which each trial's values are drawn."""
+    """Ranges from which each trial's values are drawn.
+
+    The friction of a scene that states none is that of evetac's scenes. It was fitted once, to grasps and slips together
+    (docs/simulator.md, "Friction of gel and object").
+    """
 
     #: range of the factor on the object's static friction
     static_friction: Range[Positive] = (1.0, 1.0)
     #: range of kinetic friction divided by static friction
-    kinetic_share: Range[Positive] = (1.0, 1.0)
+    kinetic_share: Range[Positive] = (0.8, 0.9)
     #: range of the Stribeck velocity: the slip speed at which friction falls from static to kinetic, in mm/s
-    stribeck_mm_s: Range[Positive] = (10.0, 10.0)
+    stribeck_mm_s: Range[Positive] = (5.0, 20.0)
     #: range of the factor on the object's mass
     mass: Range[Positive] = (1.0, 1.0)
     #: each object has its own ratio of kinetic to static friction; a trial's ratio differs from it by at most this
@@ -180,12 +184,11 @@ class Randomised(Table):
         0.0,
         0.0,
     )
-    #: slip distance over which friction adapts to the slip speed, or its range; unknown for this gel (evetac's scenes
-    #: use 50); 0: at once
-    memory_um: Range[UpTo1000] = (20.0, 20.0)
+    #: slip distance over which friction adapts to the slip speed, or its range; unknown for this gel; 0: at once
+    memory_um: Range[UpTo1000] = (50.0, 50.0)
     #: friction grows as p^(1 - this) with the pressure p; a number or its range. 0: in proportion to p; 1: independent
     #: of p. The friction limit of the whole contact is mu N for every value
-    pressure_exponent: Range[Share] = (0.0, 0.0)
+    pressure_exponent: Range[Share] = (0.67, 0.67)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,6 +203,16 @@ class Texture(Table):
     focus_mm: Annotated[float, Meta(gt=0, le=100)] = 1.0
     #: true: the window shows the texture; grasps set false, because no controller uses the window
     show: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectRoughness(Table):
+    """Roughness of the object: friction varies over its surface, so that sliding over the gel is heard."""
+
+    #: standard deviation of friction at a point of the surface, relative to its mean
+    friction_sd: Annotated[float, Meta(gt=0, le=2)] = 0.5
+    #: distance over which friction varies: the correlation of its logarithm is exp(-(distance / this)^2 / 2)
+    length_mm: Annotated[float, Meta(ge=0.05, le=10)] = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -307,6 +320,7 @@ class Scene(Table):
     floor: Annotated[Floor, kinds("hold")] = Floor()
     push: Annotated[Pushes | None, kinds("ramp", "hold")] = None
     object: Annotated[ObjectChanges | None, kinds(*GRIPPED)] = None
+    roughness: Annotated[ObjectRoughness | None, kinds(*GRIPPED)] = None
     friction_change: Annotated[FrictionChange | None, kinds(*GRIPPED, "press", "rub")] = None
     light: LightSettings | None = None
     vanishing_dots: VanishingDots | None = None

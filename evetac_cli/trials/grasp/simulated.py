@@ -25,7 +25,7 @@ from evetac_cli.trials.grasp.settings import SimulatedGrasp
 from evetac_cli.trials.live_view import LiveView, shown_in_real_time
 from evetac_cli.trials.trial import OUTPUT, SolverFigures
 
-METHOD = 12
+METHOD = 13
 TRAJECTORY = 32  # length of the trajectory name, as for uuid4
 # both simulated cameras have one clock
 SAME_CLOCK = {"capture/ended": "the grasp is over", "capture/clock_offset_us": np.float64(0.0)}

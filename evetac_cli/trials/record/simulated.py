@@ -27,7 +27,7 @@ from evetac_cli.trials.live_view import LiveView, shown_in_real_time
 from evetac_cli.trials.record.current_ramp import COMMAND_MS, RAMP_MA
 from evetac_cli.trials.trial import OUTPUT, SimulatedTrial, SolverFigures
 
-METHOD = 6
+METHOD = 7
 GONE_MS = 250  # time from slip to the end of a trial
 CLOSING_TICKS = 3  # how far the goal is ahead of the closing finger: one more than just moves it
 
