@@ -5,7 +5,7 @@ have it; the rows describe it for dry runs, docs and tests. A Timer measures the
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Protocol, TypeVar
 
 from evetac_cli.sim.setup.plan import Plan
@@ -56,6 +56,9 @@ class ScenePart:
         if not self.is_in(plan):
             return None
         tables = {"sensor": as_table(plan.sensor), "scene": as_table(plan.scene)}
+        return self._described(tables) or self._described({"sensor": asdict(plan.sensor), "scene": asdict(plan.scene)})
+
+    def _described(self, tables: Mapping[str, Any]) -> str:
         found = []
         for key in self.keys:
             value: Any = tables
@@ -171,6 +174,7 @@ PARTS = (
         ("sensor.friction.pressure_exponent", "scene.randomise.pressure_exponent"),
         _pressure_matters,
         gripped=True,
+        off={"sensor.friction.pressure_exponent": 0.0},
     ),
     ScenePart(
         "roughness of the object", ("scene.roughness.friction_sd", "scene.roughness.length_mm"), gripped=True
