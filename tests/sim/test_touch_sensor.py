@@ -71,6 +71,7 @@ def held() -> tuple[GraspSimulation, dict[str, Any]]:
     middle = replace(
         scene,
         randomise=replace(scene.randomise, touch_mm=0.0, lever_mm=0.0),
+        roughness=None,
         time=replace(scene.time, rest_s=0.02, load_s=0.05, hold_s=1.0),
     )
     trial = GraspSimulation(replace(slip, scene=middle), rng(3), rng(4))

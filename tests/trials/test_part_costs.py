@@ -23,8 +23,8 @@ from evetac_cli.trials.record import simulated
 from evetac_cli.trials.trial import SimulatedTrial
 
 WINDOW_US, NOISE_US, HOT_US, CUT_US, GEL_US, DOTS_US, OTHER_US = 20.0, 3.0, 4.0, 5.0, 40.0, 12.0, 7.0
-LAW_US = 6.0  # of friction over pressure, as a part of the gel's
-RUNS = 6  # of a measurement: the trial, and five parts switched
+LAW_US, ROUGH_US = 6.0, 9.0  # of friction over pressure and of roughness, as parts of the gel's
+RUNS = 7  # of a measurement: the trial, and six parts switched
 
 
 class SlowedClock:
@@ -46,7 +46,8 @@ class SlowedClock:
         self.take(CUT_US * (sensor.cut_contrast > 0))
 
     def _advance(self, plan: Plan) -> None:
-        self.take(GEL_US + LAW_US * (plan.scene.randomise.pressure_exponent[1] > 0.0))
+        self.take(GEL_US + LAW_US * (plan.sensor.friction.pressure_exponent != 0.0))
+        self.take(ROUGH_US * (plan.scene.roughness is not None))
 
     def play(self, trial: SimulatedTrial, append: Append, timer: Timer) -> None:
         self.runs += 1
@@ -73,9 +74,10 @@ def test_costs_are_those_of_the_clock(texture: str, machine: SlowedClock) -> Non
     assert costs is not None
     shown = texture == "on"
     in_camera = DOTS_US + WINDOW_US * shown + NOISE_US + HOT_US + CUT_US
-    assert costs.whole_us.mean() == pytest.approx(GEL_US + LAW_US + in_camera + OTHER_US)
+    assert costs.whole_us.mean() == pytest.approx(GEL_US + LAW_US + ROUGH_US + in_camera + OTHER_US)
     rows = {row["part"]: row for row in costs.rows()}
-    expected = {"gel and friction": GEL_US + LAW_US, "friction over pressure": LAW_US, "camera": in_camera}
+    expected = {"gel and friction": GEL_US + LAW_US + ROUGH_US, "friction over pressure": LAW_US, "camera": in_camera}
+    expected |= {"roughness of the object": ROUGH_US}
     expected |= {"dots": DOTS_US, "noise": NOISE_US, "hot pixels": HOT_US, "cut edge": CUT_US}
     for part, us in {**expected, "everything else": OTHER_US}.items():
         assert rows[part]["time_us"] == pytest.approx(us), part
@@ -103,7 +105,7 @@ def test_a_budget_is_kept(budget_s: float, machine: SlowedClock, monkeypatch: py
     (trial,) = record.jobs([], Record(), None)
     machine.slowed_us = 0.0
     costs = measure(trial, machine.play)
-    slice_us = GEL_US + LAW_US + DOTS_US + WINDOW_US + NOISE_US + HOT_US + CUT_US + OTHER_US
+    slice_us = GEL_US + LAW_US + ROUGH_US + DOTS_US + WINDOW_US + NOISE_US + HOT_US + CUT_US + OTHER_US
     share_s = budget_s / (1 + RUNS)  # of one run to try, and those to measure
     assert costs is not None and costs.whole_us.mean() == pytest.approx(slice_us)
     block_s = BLOCK * slice_us * 1e-6

@@ -118,13 +118,13 @@ class Pads:
         )
         second_pad = None if self.second is None else self.second.start(self.first)
         self._states = (self.first,) if second_pad is None else (self.first, second_pad)
-        self.slip_limit_n = self._limit_n(mass_kg)
         rough = scene.roughness
         self._roughness = tuple(
             Roughness(state, rough.friction_sd, rough.length_mm * 1e-3, of_surface)
             for state in (self._states if rough is not None else ())
         )
         self._smooth: list[Floats | None] = []  # friction factors of the states without roughness
+        self.slip_limit_n = self._limit_n(mass_kg)
         self._slices = GelSlices(self.first, self._solver, second_pad, timer)
         self._before = tuple(state.copy() for state in self._states)  # a slice may have to be repeated
         self._pressed_m = math.nan  # indentation for which the shares of the nodes were computed
@@ -238,11 +238,11 @@ class Pads:
 
         The forces and moments that friction can resist together form an ellipse (Howe and Cutkosky, Int. J. Robotics
         Research 15, 1996). The contact area is that under the force without the moment, which is smaller, and at least
-        one node: a square resists a moment of 0.38 of its side. If friction varies over the gel, or differs on the
-        second finger, the friction within this contact counts.
+        one node: a square resists a moment of 0.38 of its side. If friction varies over gel or object, or differs on
+        the second finger, the friction within this contact counts.
         """
         limit_n = mass_kg * GRAVITY_M_S2 / (2 * self._sampled.static_friction)
-        if self.friction_factor is not None or self.second is not None:
+        if self.friction_factor is not None or self.second is not None or self._roughness:
             limit_n /= self._mean_friction(limit_n)
         if self._sampled.lever_m == 0.0:
             return limit_n
@@ -257,9 +257,11 @@ class Pads:
         if self.second is not None and self.curve.second_indentation_m is not None:
             pads.append((self.second.friction_factor, self.curve.second_indentation_m))
         means = []
-        for factor, table_m in pads:
+        for place, (factor, table_m) in enumerate(pads):
             shares = self._gripping(force_n, table_m)
-            means.append(1.0 if factor is None else float((shares * factor).sum()) or 1.0)
+            if self._roughness:
+                shares = shares * self._roughness[place].factor(0.0)
+            means.append(float((shares if factor is None else shares * factor).sum()) or 1.0)
         return float(np.mean(means)) or 1.0
 
     def _gripping(self, force_n: float, table_m: Floats) -> Floats:

@@ -16,8 +16,8 @@ NONE: Changes = MappingProxyType({})
 
 
 def quiet_plan(scene_name: str, changes: Changes = NONE) -> Plan:
-    """The plan of a trial whose object is touched in its middle, off which it swings, before a camera without noise."""
-    planned = merge(first_plan(scene_name), changes, {"randomise": {"touch_mm": None}})
+    """The plan of a smooth object, touched in its middle, off which it swings, before a camera without noise."""
+    planned = merge(first_plan(scene_name), {"randomise": {"touch_mm": None}, "roughness": None}, changes)
     return replace(planned, sensor=replace(planned.sensor, noise_hz=0.0, hot_pixels=0))
 
 

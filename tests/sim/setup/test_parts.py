@@ -11,7 +11,7 @@ from evetac_cli.sim.setup.parts import rows_of, switched
 from evetac_cli.sim.setup.plan import Plan, first_plan
 from evetac_cli.sim.setup.sensor import NoiseFilterSettings, ReadoutLimit
 
-PRESSURE = "friction over pressure"
+PRESSURE, ROUGH = "friction over pressure", "roughness of the object"
 NAMES = sorted(path.stem for path in SCENES.glob("*.toml"))
 
 
@@ -45,8 +45,9 @@ def test_one_part_at_a_time() -> None:
 
 def test_what_can_be_left_out() -> None:
     """Assert which parts of three scenes can be had otherwise."""
-    assert set(switched(first_plan("slip"))) == {PRESSURE, "window", "cut edge", "noise", "hot pixels"}
-    assert set(switched(first_plan("data-rate", gel="closed"))) == {PRESSURE, "pushes", "window", "noise", "hot pixels"}
+    assert set(switched(first_plan("slip"))) == {PRESSURE, ROUGH, "window", "cut edge", "noise", "hot pixels"}
+    held = {PRESSURE, ROUGH, "pushes", "window", "noise", "hot pixels"}
+    assert set(switched(first_plan("data-rate", gel="closed"))) == held
     assert set(switched(first_plan("edge"))) == {"contact edges", "cut edge", "noise", "hot pixels"}
     assert "slow pixels" in switched(first_plan("drop-20g", sensor="randomized:3"))
 

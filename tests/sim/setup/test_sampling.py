@@ -66,15 +66,17 @@ def test_objects_keep_their_kinetic_share() -> None:
     by_object = [shares(number) for number in range(1, 9)]
     assert all(0.04 < max(own) - min(own) <= 0.06 + 1e-12 for own in by_object)
     middles = [np.mean(own) for own in by_object]
-    assert max(middles) - min(middles) > 0.08
+    low, high = SLIP.randomise.kinetic_share
+    assert max(middles) - min(middles) > 0.4 * (high - low)
 
 
 @pytest.mark.parametrize("spread", [0.0, 0.03])
 def test_a_gels_kinetic_share_keeps_objects_apart(spread: float) -> None:
     """Assert that a sensor's own share moves that of all objects alike, and stands for all where none has its own.
 
-    By as much as it is off the middle of the scene's range, which is 0.5 to 0.7.
+    By as much as it is off the middle of the scene's range.
     """
+    low, high = SLIP.randomise.kinetic_share
     soft = replace(EVETAC, friction=GelFriction(kinetic_share=0.35))
 
     def share(scene: Scene, sensor: Sensor, number: int, seed: int) -> float:
@@ -85,7 +87,7 @@ def test_a_gels_kinetic_share_keeps_objects_apart(spread: float) -> None:
     own = slip(kinetic_share_spread=spread)
     for number in range(1, 9):
         shares = [share(own, sensor, number, number) for sensor in (EVETAC, soft)]
-        assert shares[1] == pytest.approx(shares[0] - 0.25, abs=1e-12)
+        assert shares[1] == pytest.approx(shares[0] + 0.35 - (low + high) / 2, abs=1e-12)
     assert share(slip(kinetic_share_spread=None), soft, 1, 0) == pytest.approx(0.35)
 
 
@@ -98,7 +100,7 @@ def test_a_gels_kinetic_share_stays_within_1() -> None:
     ]
     shares = [one.kinetic_friction / one.static_friction for one in sampled]
     assert max(shares) == pytest.approx(1.0)
-    assert min(shares) < 0.95
+    assert min(shares) < 0.98
 
 
 def test_friction_of_a_scene_and_of_a_sensor() -> None:
