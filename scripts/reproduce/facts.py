@@ -4,7 +4,6 @@ The processor time of an experiment is summed over its commands, also over those
 spent.json of its folder.
 """
 
-import hashlib
 import importlib
 import json
 import os

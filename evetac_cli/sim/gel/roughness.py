@@ -2,13 +2,13 @@
 
 A rough surface touches a gel at asperities, so the friction of one spot differs from that of its neighbours. A node of
 the gel that sticks keeps its spot, and holds more or less than the mean: static friction is patchy in place. A node
-that slides at a speed v passes over spot after spot. Its friction then fluctuates in a band up to v / (2 pi length), and
-the gel vibrates with it. Without roughness steady sliding is silent: the gel rests while the object moves.
+that slides at a speed v passes over spot after spot. Its friction then fluctuates in a band up to v / (2 pi length),
+and the gel vibrates with it. Without roughness steady sliding is silent: the gel rests while the object moves.
 
 The field belongs to the object, and moves and turns with it. It is log-normal with mean 1; the logarithms of points at
-a distance r have the correlation exp(-(r / length)^2 / 2). A node feels the mean over its cell. That mean is exact on every grid, so the force on an
-area does not depend on the grid. In a slice of 1 ms a node feels the mean along the path that it is expected to slide,
-so a fast node does not see spots that it could only sample (aliasing).
+a distance r have the correlation exp(-(r / length)^2 / 2). A node feels the mean over its cell. That mean is exact on
+every grid, so the force on an area does not depend on the grid. In a slice of 1 ms a node feels the mean along the path
+that it is expected to slide, so a fast node does not see spots that it could only sample (aliasing).
 
 The mechanism is that of the noise of rough sliding contacts (Akay, Acoustics of friction, J. Acoust. Soc. Am. 111,
 2002, read as abstract). Values for this gel are not known: see [roughness] in data/scenes/slip.toml.

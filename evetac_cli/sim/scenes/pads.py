@@ -118,11 +118,10 @@ class Pads:
         )
         second_pad = None if self.second is None else self.second.start(self.first)
         self._states = (self.first,) if second_pad is None else (self.first, second_pad)
-        rough = scene.roughness
-        self._roughness = tuple(
-            Roughness(state, rough.friction_sd, rough.length_mm * 1e-3, of_surface)
-            for state in (self._states if rough is not None else ())
-        )
+        self._roughness: tuple[Roughness, ...] = ()
+        if (rough := scene.roughness) is not None:
+            values = (rough.friction_sd, rough.length_mm * 1e-3)
+            self._roughness = tuple(Roughness(state, *values, of_surface) for state in self._states)
         self._smooth: list[Floats | None] = []  # friction factors of the states without roughness
         self.slip_limit_n = self._limit_n(mass_kg)
         self._slices = GelSlices(self.first, self._solver, second_pad, timer)

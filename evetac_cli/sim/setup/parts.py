@@ -176,9 +176,7 @@ PARTS = (
         gripped=True,
         off={"sensor.friction.pressure_exponent": 0.0},
     ),
-    ScenePart(
-        "roughness of the object", ("scene.roughness.friction_sd", "scene.roughness.length_mm"), gripped=True
-    ),
+    ScenePart("roughness of the object", ("scene.roughness.friction_sd", "scene.roughness.length_mm"), gripped=True),
     ScenePart("slow creep", ("sensor.creep.share", "sensor.creep.time_s")),
     ScenePart(
         "what touches",

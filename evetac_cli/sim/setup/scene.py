@@ -160,8 +160,8 @@ class GelSettings(Table):
 class Randomised(Table):
     """Ranges from which each trial's values are drawn.
 
-    The friction of a scene that states none is that of evetac's scenes. It was fitted once, to grasps and slips together
-    (docs/simulator.md, "Friction of gel and object").
+    The friction of a scene that states none is that of evetac's scenes, fitted once, to grasps and slips together
+    (docs/simulator.md, "The model").
     """
 
     #: range of the factor on the object's static friction

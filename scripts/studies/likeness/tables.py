@@ -13,8 +13,9 @@ from typing import Any
 from evetac_cli.evaluate.likeness.facts import NEAR, OFF, WITHIN, Fact, Within, as_text, facts
 from evetac_cli.jobs import Row
 from scripts.reproduce.experiment import Study
+from scripts.reproduce.facts import RESULTS, made_on
 from scripts.reproduce.table_text import as_table
-from scripts.studies.likeness import convergence, grid, sensitivity
+from scripts.studies.likeness import convergence, grid, paper_sensor_tables, sensitivity
 
 # Reasons that have changed since data/likeness.toml was written, whose bytes are part of a recipe.
 MISSES = {
@@ -48,6 +49,12 @@ def ours(fact: Fact, measured: Measured) -> str:
     if not row.get("values"):
         return f"not measured: {why}" if (why := row.get("not_measured")) else "not measured"
     how = [compared(fact, measured), f"n {row['n']}" if row.get("n") else None]
+    if (
+        fact.table
+        and row["from"].startswith("docs/results")
+        and made_on([json.loads((RESULTS / f"{fact.table}.json").read_text())])
+    ):
+        how.append("on `small-dots`")
     return f"{as_text(row['values'])} {fact.unit}".strip() + f" ({'; '.join(one for one in how if one)})"
 
 
@@ -77,6 +84,27 @@ def answer(results: Path) -> str:
         f"Simulated: {found.count(WITHIN)} of these {len(found)} facts are within the published spread,"
         f" {found.count(NEAR)} more between half and twice the public figure, and {found.count(OFF)} are off.{unknown}"
     )
+
+
+def as_change(results: Path) -> str:
+    """Return how the facts that recordings show compared before and after the change to the paper's sensor."""
+    states = {when: json.loads((results / "likeness" / f"{when}.json").read_text()) for when in ("before", "after")}
+    shown = [fact for fact in facts() if all(compared(fact, state) for state in states.values()) and not fact.table]
+    heads = ["facts", "number", *(f"{when}: {name}" for when in states for name in (WITHIN, NEAR, OFF))]
+    lines = []
+    for kind in dict.fromkeys(fact.kind for fact in shown):
+        of_kind = [fact for fact in shown if fact.kind == kind]
+        found = [[compared(fact, state) for fact in of_kind] for state in states.values()]
+        lines.append(
+            [kind, str(len(of_kind)), *(str(each.count(name)) for each in found for name in (WITHIN, NEAR, OFF))]
+        )
+    changed = [
+        f"`{fact.name}` {compared(fact, states['before'])}, now {compared(fact, states['after'])}"
+        for fact in shown
+        if compared(fact, states["before"]) != compared(fact, states["after"])
+    ]
+    said = f"Before: on `small-dots`, at {states['before']['commit']}. Of those that changed: {'; '.join(changed)}."
+    return f"{as_table(heads, lines)}\n\n{said}\n"
 
 
 # Topics of the page: the tables of docs/results whose facts they are.
@@ -122,6 +150,8 @@ STUDY = Study(
         "likeness-counted": as_counted,
         "likeness-off": lambda results: "\n".join(misses(_of_page(counted=True), read(results))) + "\n",
         "likeness-others": as_others,
+        "likeness-change": as_change,
+        **paper_sensor_tables.PAGES,
         "likeness-answer": lambda results: answer(results) + "\n",
         "likeness-topics": lambda results: topics(results) + "\n",
         "likeness-sensitivity": sensitivity.as_page,

@@ -1,4 +1,4 @@
-"""Friction that varies over an object: a field that does not depend on the grid, and is heard when the object slides."""
+"""Friction that varies over an object: a field that does not depend on the grid, and moves with the object."""
 
 import numpy as np
 import pytest

@@ -14,7 +14,7 @@ MOST_TICKS = 5  # by which the paper's law closes beyond its reference while sli
 
 @pytest.mark.parametrize(("scene", "number", "fallen_kg"), [("drop-100g", 16, 0.1), ("lift", 18, 0.0)])
 def test_sliding_friction_lets_the_papers_controller_catch(scene: str, number: int, fallen_kg: float) -> None:
-    """Assert that the least kinetic share holds an object at rest or sliding, five ticks beyond the grip that just held.
+    """Assert that the least kinetic share holds an object that slides, five ticks beyond the grip that just held it.
 
     This is the slipperiest draw of the scene: there the bound is 0.79 for 100 g dropped on object 16, which the paper
     catches 10 times of 10, and 0.74 for object 18. Below it no closed loop within the paper's limit can catch.

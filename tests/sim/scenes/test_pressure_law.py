@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from evetac_cli.sim.scenes.gripped import GraspSimulation
-from evetac_cli.sim.setup.plan import Plan, first_plan
+from evetac_cli.sim.setup.plan import Plan
 from evetac_cli.sim.setup.scene import Randomised
 from evetac_cli.sim.setup.sensor import GelFriction
 from evetac_cli.sim.touch_sensor import TouchSensor
