@@ -15,7 +15,7 @@ from evetac_cli.jobs import Row
 from scripts.reproduce.experiment import Study
 from scripts.reproduce.facts import RESULTS, made_on
 from scripts.reproduce.table_text import as_table
-from scripts.studies.likeness import convergence, grid, paper_sensor_tables, sensitivity
+from scripts.studies.likeness import convergence, grid, paper_sensor_tables, sensitivity, sliding
 
 # Reasons that have changed since data/likeness.toml was written, whose bytes are part of a recipe.
 MISSES = {
@@ -157,5 +157,6 @@ STUDY = Study(
         "likeness-sensitivity": sensitivity.as_page,
         "likeness-convergence": convergence.as_page,
         "likeness-grid": grid.as_page,
+        "likeness-sliding": sliding.as_page,
     }
 )
