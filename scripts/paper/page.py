@@ -4,7 +4,7 @@ import string
 from pathlib import Path
 
 from evetac_cli.jobs import Row
-from scripts.paper.rows import DIRECTION, INSIDE, MISSED, NOT_APPLICABLE, NOT_YET, counts, filled, read
+from scripts.paper.rows import DIRECTION, ERROR, INSIDE, MISSED, NOT_APPLICABLE, NOT_YET, STILL, counts, filled, read
 from scripts.reproduce.table_text import as_table
 
 # The topics of the paper, by the number of their first row.
@@ -104,7 +104,8 @@ def _ours(entry: Row) -> str:
     if "ours" not in found:
         return NOT_YET
     ends = found.get("interval")
-    return f"{found['ours']:.3g}" + (f" ({ends[0]:.3g} to {ends[1]:.3g})" if ends else "")
+    off = f"; off the true dots {found[ERROR]:.3g} px rms, standing still {found[STILL]:.3g}" if ERROR in found else ""
+    return f"{found['ours']:.3g}" + (f" ({ends[0]:.3g} to {ends[1]:.3g})" if ends else "") + off
 
 
 PAGES = {

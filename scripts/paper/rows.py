@@ -19,6 +19,10 @@ The verdict of a figure is the first of these that applies:
   sign alone decides. Against a number that the paper states, evetac's figure itself has to be on the stated side.
 - `not reproduced`: everything else, with the reason as far as it is known.
 
+A count of dots that end where they began, and an error beside that of another tracker, can be right with dots that
+never move. Such entries name their row of `tracking-distance` (`tracks`): they are `not reproduced` unless the tracker
+is nearer to the true dots than dots that never move.
+
 `not applicable` has a reason, too. Methods have the verdict `same method`, or `other method` with what differs.
 """
 
@@ -43,6 +47,7 @@ INSIDE, DIRECTION, MISSED, NOT_APPLICABLE = "inside its spread", "right directio
 SAME, OTHER = marks.SAME, marks.METHOD
 VERDICTS = (INSIDE, DIRECTION, MISSED, SAME, OTHER, NOT_APPLICABLE)
 NOT_YET = "no table yet"
+DISTANCE, ERROR, STILL = "tracking-distance", "error_px_rms", "still_px_rms"
 
 
 class Ours(NamedTuple):
@@ -194,6 +199,10 @@ def computed(entry: Row, rows: Mapping[str, Row], results: Path = RESULTS) -> Ro
         found = {**figures, "spread": spread and [_rounded(end) for end in spread], "ours": _rounded(mine.value)}
         ends = [_rounded(end) for end in mine[1:3]] if mine.has_interval else None
         verdict = _verdict(entry, mine, figure, rows, results)
+        if "tracks" in entry:
+            _, row = row_of(results, DISTANCE, entry["tracks"])
+            found |= {name: _rounded(row[name]) for name in (ERROR, STILL)}
+            verdict = verdict if row[ERROR] < row[STILL] else MISSED
     except Awaited:
         return {"verdict": NOT_YET}
     return {**found, "interval": ends, "mark": mine.mark, "verdict": verdict}

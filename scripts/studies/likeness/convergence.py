@@ -67,7 +67,7 @@ BOUNDS = {
     "events_ms_100_to_30_before": (2.0, 0.2),
     "events_ms_30_before": (2.0, 0.2),
     "events_ms_30_after": (2.0, 0.2),
-    "loudest_slice_50_before": (15.0, 0.0),
+    "loudest_slice_50_before": (25.0, 0.0),
 }
 BURST_MS = 2  # largest allowed difference of the ends of a burst; the number of bursts must be equal
 

@@ -36,7 +36,7 @@ from evetac_cli.store.recordings.slip_grid import COLUMN, nodes_of
 from evetac_cli.trials import record
 from evetac_cli.trials.record import simulated
 from evetac_cli.trials.trial import SimulatedTrial
-from scripts.reproduce.facts import RESULTS, commit_in_words
+from scripts.reproduce.facts import RESULTS, commit_in_words, default_sensor
 
 FOLDER = RESULTS / "likeness"
 SLIP, RATE = "slip", "data-rate"  # scenes
@@ -48,7 +48,7 @@ OF_EVENTS = (
     "loudest_slice_50_before",
 )  # figures returned by about_slip
 EARLY_MS = (-500, -100)  # relative to the onset
-LOUD = 100  # events per slice; slices with more can be mistaken for slip
+LOUD = 170  # events per slice; slices with more can be mistaken for slip: 100 with dots of 9 px, times 15 / 9
 DIGITS = 5  # significant digits of a stored figure
 
 
@@ -162,6 +162,7 @@ def measure_missing(path: Path, tasks: list[Task], plan: Callable[[Task, Path], 
 def write(path: Path, rows: list[Row], command: str) -> None:
     """Write rows, one per line, and replace the file atomically, so that an interrupted run leaves it unchanged."""
     head = {"name": f"likeness-{path.stem}", "simulated": True, "commands": [command]}
+    head |= {"default_sensor": default_sensor()}
     lines = ",\n".join(json.dumps(row) for row in rows)
     text = json.dumps(head, indent=1).removesuffix("\n}") + f',\n "rows": [\n{lines}\n]}}\n'
     part = path.with_suffix(".part")

@@ -179,6 +179,15 @@ def test_the_direction_of_comparisons(claim: dict[str, Any], expected: str, tabl
     assert verdict(entry("good", direction=[claim]), tables, entry("near"), entry("bad")) == expected
 
 
+@pytest.mark.parametrize(("error_px", "expected"), [(1.9, paper_rows.DIRECTION), (2.0, paper_rows.MISSED)])
+def test_dots_that_never_move_reproduce_nothing(error_px: float, expected: str, tables: Path) -> None:
+    """Assert that a tracker has to be nearer to the true dots than dots that stand still."""
+    row = {"preset": "paper", paper_rows.ERROR: error_px, paper_rows.STILL: 2.0}
+    (tables / f"{paper_rows.DISTANCE}.json").write_text(json.dumps({"rows": [row]}))
+    claim = entry("good", direction=[{"is": "above", "than": 0.85}], tracks={"preset": "paper"})
+    assert verdict(claim, tables) == expected
+
+
 def test_what_is_missing_is_awaited(tables: Path) -> None:
     """Assert that a missing table, row, field or interval is named, and that several rows are an error."""
     missing = [
