@@ -143,7 +143,9 @@ def _pressed(recipe: Mapping[str, Any], slot: Slot, sensor: str, output: Path) -
     motion |= {"pause_s": keys["pause_s"], "offset_mm": 5.0}
     size = {"size_mm": None, "radius_mm": None, **recipe["faces"][face]}
     path = output.with_suffix(".scene.toml")
-    path.write_text(scene_file.changed("shear", {"name": "bench-press", "face": size, "motion": motion}))
+    friction = {"kinetic_share": recipe["kinetic_share"]["usual"]}
+    changes = {"name": "bench-press", "face": size, "motion": motion, "randomise": friction}
+    path.write_text(scene_file.changed("shear", changes))
     (one,) = record.jobs([], Record(scene=str(path), sensor=sensor, seed=slot.seed), output)
     path.unlink()
     assert isinstance(one, SimulatedTrial)
