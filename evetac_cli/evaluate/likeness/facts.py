@@ -13,14 +13,13 @@ scripts/studies/likeness/run.py reads.
 
 import functools
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from evetac_cli import resources
 from evetac_cli.evaluate import PAPER
 from evetac_cli.kernels import estimates
-from evetac_cli.sim.setup import sensor_file
-from evetac_cli.text_files import read_toml
+from evetac_cli.sim.setup import scene_file, sensor_file
 
 FIT, PREDICTION, UNTOLD = "used to fit", "kept as a prediction", "cannot be told"
 EVERY = "*"  # in a path: all entries of a table; the smallest and largest values are taken
@@ -165,7 +164,7 @@ def constant_of(path: Sequence[str]) -> Values:
         return (float(getattr(Drive(), rest[0])),)
     if kind == "scenes":
         name, *rest = rest
-        found: Any = read_toml(resources.SCENES / f"{name}.toml")
+        found: Any = asdict(scene_file.load(name))  # also what the scene leaves to its default
     else:
         found = sensor_file.rows() if kind == "sensors" else resources.table(kind)
     if rest[0] == EVERY:
@@ -173,7 +172,7 @@ def constant_of(path: Sequence[str]) -> Values:
         return float(min(values)), float(max(values))
     for key in rest:
         found = found[key]
-    return tuple(float(one) for one in found) if isinstance(found, list) else (float(found),)
+    return tuple(map(float, found)) if isinstance(found, (list, tuple)) else (float(found),)
 
 
 @dataclass(frozen=True)
