@@ -126,6 +126,7 @@ class Pads:
         self.slip_limit_n = self._limit_n(mass_kg)
         self._slices = GelSlices(self.first, self._solver, second_pad, timer)
         self._before = tuple(state.copy() for state in self._states)  # a slice may have to be repeated
+        self._force_n = 0.0  # the largest of the last slice
         self._pressed_m = math.nan  # indentation for which the shares of the nodes were computed
         self.views: tuple[GelView, ...] = ()
 
@@ -135,8 +136,16 @@ class Pads:
         return self._slices.still_for
 
     def solver_truth(self) -> dict[str, Any]:
-        """Return the resolution of the last slice, by schema path."""
-        return self._slices.truth()
+        """Return the resolution of the last slice, by schema path.
+
+        A pattern of slip that the nodes resolve spans several spots of a rough object, so their mean friction counts.
+        """
+        slips = self.first.slip_m_s > 0.0
+        if not self._roughness or not slips.any():
+            return self._slices.truth()
+        smooth = self._smooth[0]
+        shares = self.shares if smooth is None else self.shares * smooth
+        return self._slices.truth(self._force_n * float(shares[slips].max()))
 
     def press(self, finger: gripper.DriveState) -> None:
         """Compute each node's share of the normal force at a finger's position."""
@@ -165,6 +174,7 @@ class Pads:
         force_n: normal force at start and end of the slice.
         """
         self._roughen(1 / SLICES_PER_S)
+        self._force_n = max(force_n)
         callbacks = [each for view in self.views if (each := view.begin()) is not None]
         each = _all(callbacks) if len(callbacks) > 1 else callbacks[0] if callbacks else None
         twist = None if speed_m_s is None else self._along_gravity(speed_m_s)

@@ -197,12 +197,16 @@ class GelSlices:
             before.restore(state)
         return False
 
-    def truth(self) -> dict[str, Any]:
-        """Return the steps and error of the last slice, and whether the nodes resolve unstable slip, by schema path."""
+    def truth(self, most_n: float = math.inf) -> dict[str, Any]:
+        """Return the steps and error of the last slice, and whether the nodes resolve unstable slip, by schema path.
+
+        most_n: upper limit of a slipping node's normal force, for what the nodes resolve.
+        """
         done, half = self._done, math.inf
-        if done.slipping_force_n > 0.0:
+        slipping_n = min(done.slipping_force_n, most_n)
+        if slipping_n > 0.0:
             _, _, friction, *_ = self._acting
-            half = gel.slip_half_wavelength_nodes(self._gel, friction, done.slipping_force_n)
+            half = gel.slip_half_wavelength_nodes(self._gel, friction, slipping_n)
         return {
             "truth/mechanical_steps": done.steps,
             "truth/estimated_error_um": done.error_m * 1e6,
