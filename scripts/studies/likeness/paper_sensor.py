@@ -81,8 +81,8 @@ def sliding(features: Path, recording: Path, model: Model) -> Iterator[tuple[int
     gross = np.flatnonzero(slips)
     for at in range(gross[0], len(slips)) if len(gross) else ():
         if not np.isnan(found.probability[at]) and force_n[at] > 0.0:
-            place = next(place for place, (_, high) in enumerate(SPEEDS_MM_S) if abs(speeds[at]) < high)
-            yield place, bool(found.probability[at] >= model.threshold)
+            faster = [place for place, (low, _) in enumerate(SPEEDS_MM_S) if abs(speeds[at]) >= low]
+            yield faster[-1], bool(found.probability[at] >= model.threshold)
 
 
 def slip_rows(folder: Path) -> Iterator[Row]:
