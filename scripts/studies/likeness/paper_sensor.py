@@ -28,7 +28,7 @@ from scripts.reproduce.perform import run_command
 from scripts.reproduce.steps import evetac
 from scripts.studies.likeness.paper_sensor_tables import DOTS, GRASPS, PATH, SEED, SPEEDS_MM_S, read
 
-DETECTOR = "models/nothing/fast-slow-10ms-s9000.model.h5"
+DETECTOR = "models/nothing/fast-slow-10ms.model.h5"
 PAPERS = ("--controller", "paper", "--tracker", "paper", "--model")
 TRIALS = 10
 
