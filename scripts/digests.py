@@ -34,7 +34,7 @@ GRASPED = ("lift", "sideways", "drop-20g", "drop-100g")
 GRID = "--node-pitch-mm 1.45"
 PAPER = f"{GRID} --controller paper --model shipped"
 LAWS = ("load-proportional", "paper-reset --model shipped", "none", "fixed:8")
-SENSORS = ("second", "bare-dvxplorer", "soft-gel", "stiff-gel", "randomized:7")
+SENSORS = ("small-dots", "second", "bare-dvxplorer", "soft-gel", "stiff-gel", "randomized:7")
 TRAINED = (
     ("paper", "hist10"),
     ("paper", "fast-slow"),
