@@ -117,6 +117,7 @@ def grasp_rows(folder: Path, jobs: int) -> Iterator[Row]:
         files = sorted(map(str, (folder / out).glob("*.recording.h5")))
         rows = answer(evetac("evaluate", "grasp", *files, "--out", f"{out}.report.h5", "--force"), folder)
         each = [row for row in rows if row.get("file")]
+        nodes = [row["slip_half_wavelength_nodes"] for row in each]
         moved = [row["moved_lift_mm"] for row in each if row["balanced"]]
         yield {
             "name": name,
@@ -125,7 +126,7 @@ def grasp_rows(folder: Path, jobs: int) -> Iterator[Row]:
             "kept": sum(bool(row["balanced"]) for row in each),
             "moved_lift_mm_median": float(np.median(moved)) if moved else None,
             "moved_mm": [row["moved_mm"] for row in each],
-            "slip_half_wavelength_nodes": min(row["slip_half_wavelength_nodes"] or np.inf for row in each),
+            "slip_half_wavelength_nodes": min(filter(None, nodes), default=None),
         }
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from evetac_cli.evaluate import PAPER
+from evetac_cli.evaluate.common import marks
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.estimates import LEVEL, share
 from scripts.reproduce.facts import RESULTS
@@ -56,7 +57,9 @@ def force_page(results: Path) -> str:
             f" {row[f'mae_n_{axis}_interval'][1]:.2f})"
             for axis in "xy"
         ]
-        lines.append([DOTS[row["dots"]], row["model"], *cells, ", ".join(f"{value:g}" for value in beside)])
+        mark = marks.SIZE if row["dots"] in ("paper", "rgb") else marks.METHOD
+        figures = ", ".join(f"{value:g}" for value in beside)
+        lines.append([DOTS[row["dots"]], row["model"], *cells, f"{figures}, {mark}"])
     count = stored["rows"][0]["trajectories"]
     heads = ["dots", "model", "Fx [N]", "Fy [N]", "paper, Fx, Fy [N]"]
     said = f"Simulated; mean absolute errors over {count} trajectories, with intervals of {LEVEL:.0%} by trajectory:"
@@ -93,7 +96,8 @@ def grasps_page(results: Path) -> str:
     for row in stored["rows"]:
         kept = share(row["kept"], row["trials"])
         median = row["moved_lift_mm_median"]
-        beside = f"{PAPER.figures[GRASPS[row['name']][1]].value:g}"
+        figure = PAPER.figures[GRASPS[row["name"]][1]]
+        beside = f"{figure.value:g}, {marks.SAME if figure.trials == row['trials'] else marks.SIZE}"
         cells = [f"{row['kept']} of {row['trials']} ({kept.low:.2f} to {kept.high:.2f})", beside]
         far = sum(moved > 10.0 for moved in row["moved_mm"])
         lines.append([row["name"], *cells, "-" if median is None else f"{median:.2f}", str(far)])
