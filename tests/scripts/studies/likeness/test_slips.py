@@ -1,6 +1,7 @@
 """Scripts of likeness that simulate slips: what is changed, which trials are missing, what their rows say."""
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -83,5 +84,5 @@ def test_slips_converge(number: int, tmp_path: Path) -> None:
     tasks = [task for task in convergence.tasks() if task.object == number]
     rows = [{**task.key, **trials.measured(convergence.plan(task, tmp_path))} for task in tasks]
     default, *finer = rows
-    assert default["loud_ms"] and default["slip_half_wavelength_nodes"] > 4
+    assert default["loud_ms"] and (default["slip_half_wavelength_nodes"] or math.inf) > 4  # None: slip is stable
     assert [convergence.beyond_bounds([default], [row]) for row in finer] == [[]] * len(finer)
