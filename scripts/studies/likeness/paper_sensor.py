@@ -24,7 +24,7 @@ from evetac_cli.stages.slip_detectors import predict, read_trajectory
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.read import open_recording
 from scripts.reproduce.facts import commit_facts
-from scripts.reproduce.perform import run_command
+from scripts.reproduce.perform import Running, evaluate, run_command
 from scripts.reproduce.steps import evetac
 from scripts.studies.likeness.paper_sensor_tables import DOTS, GRASPS, PATH, SEED, SPEEDS_MM_S, read
 
@@ -40,21 +40,12 @@ def keep(group: str, rows: Rows, about: Row) -> None:
     PATH.write_text(json.dumps(stored, indent=1) + "\n")
 
 
-def answer(words: list[str], folder: Path) -> Rows:
-    """Run a command with --json and return its rows; SystemExit if it fails."""
-    code, printed = run_command([*words, "--json"], folder)
-    if code:
-        raise SystemExit(f"{' '.join(words)} ended with exit code {code}")
-    rows: Rows = json.loads(printed)["rows"]
-    return rows
-
-
 def force_rows(folder: Path) -> Iterator[Row]:
     """Yield the errors of each tracker's dots and model on `evetac`: means over trajectories, with their intervals."""
     for dots in DOTS:
         files = sorted(map(str, folder.glob(f"unseen/{dots}/*.tracks.h5")))
-        command = evetac("evaluate", "force", *files, "--model", f"models/{dots}", "--seed", SEED)
-        rows = answer([*command, "--out", f"{dots}.report.h5", "--force"], folder)
+        words = evetac("evaluate", "force", *files, "--model", f"models/{dots}", "--seed", SEED)
+        rows = evaluate(dots, words, folder, Running()).rows
         for model in ("regression", "network"):
             mine = [row for row in rows if row.get("model") == model and row.get("file")]
             found: Row = {"dots": dots, "model": model, "trajectories": len({row["file"] for row in mine})}
@@ -74,15 +65,14 @@ def sliding(features: Path, recording: Path, model: Model) -> Iterator[tuple[int
     (found,) = predict([model.detector()], read_trajectory(features, model.architecture), header, model.horizon_ms)
     with open_recording(recording) as file:
         slips, object_px = file.read("truth/slip"), file.read("truth/object_xy_px")
-        speeds = (
-            np.gradient(np.linalg.norm(object_px, axis=1)) * file.header["parameters"]["sensor_row"]["mm_per_px"] * 1e3
-        )
+        mm_per_px = file.header["parameters"]["sensor_row"]["mm_per_px"]
         force_n = file.read("truth/normal_force_n")
+    speeds_mm_s = np.abs(np.gradient(np.linalg.norm(object_px, axis=1))) * mm_per_px * 1e3
+    places = np.searchsorted(SPEEDS_MM_S, speeds_mm_s, side="right") - 1
     gross = np.flatnonzero(slips)
     for at in range(gross[0], len(slips)) if len(gross) else ():
         if not np.isnan(found.probability[at]) and force_n[at] > 0.0:
-            faster = [place for place, (low, _) in enumerate(SPEEDS_MM_S) if abs(speeds[at]) >= low]
-            yield faster[-1], bool(found.probability[at] >= model.threshold)
+            yield int(places[at]), bool(found.probability[at] >= model.threshold)
 
 
 def slip_rows(folder: Path) -> Iterator[Row]:
@@ -92,7 +82,7 @@ def slip_rows(folder: Path) -> Iterator[Row]:
         for role in ("known", "unseen"):
             files = sorted(folder.glob(f"nothing/{role}/*.features.h5"))
             words = evetac("evaluate", "slip", *files, "--model", path, "--recordings", f"recordings/{role}")
-            rows = answer([*words, "--out", f"{path.name}-{role}.report.h5", "--force"], folder)
+            rows = evaluate(f"{path.name}-{role}", words, folder, Running()).rows
             (whole,) = (row for row in rows if "slip_correct_sd" in row)
             (first,) = (row for row in rows if "10_to_0_ms_ahead" in row and "pairs_counted" in row)
             counts = np.zeros((len(SPEEDS_MM_S), 2), int)
@@ -115,7 +105,7 @@ def grasp_rows(folder: Path, jobs: int) -> Iterator[Row]:
         if code:
             raise SystemExit(f"{name}: exit code {code}")
         files = sorted(map(str, (folder / out).glob("*.recording.h5")))
-        rows = answer(evetac("evaluate", "grasp", *files, "--out", f"{out}.report.h5", "--force"), folder)
+        rows = evaluate(out, evetac("evaluate", "grasp", *files), folder, Running()).rows
         each = [row for row in rows if row.get("file")]
         nodes = [row["slip_half_wavelength_nodes"] for row in each]
         moved = [row["moved_lift_mm"] for row in each if row["balanced"]]

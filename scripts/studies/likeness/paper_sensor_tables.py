@@ -1,6 +1,7 @@
 """Tables of docs/evidence/likeness.md: figures of the paper on its own sensor, from the rows of paper_sensor.py."""
 
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ GRASPS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "second sensor, object 17": (("--object", "17", "--sensor", "second"), ("kept", "another sensor")),
     "closed gel, object 17": (("--object", "17", "--gel", "closed"), ("kept", "another sensor")),
 }
-SPEEDS_MM_S = ((0.0, 3.0), (3.0, 10.0), (10.0, 33.0), (33.0, 100.0), (100.0, 1000.0))
+SPEEDS_MM_S = (0, 3, 10, 33, 100)  # where a range of sliding speeds begins
 
 
 def read(results: Path = RESULTS) -> Row:
@@ -80,7 +81,7 @@ def slip_page(results: Path) -> str:
         hits, ms = np.sum(row["detected_ms"], axis=0)
         speeds.append([who, *cells, f"{hits / ms:.2f}"])
     heads = ["`fast-slow`", "slips", "timing correct", "early", "F1", "first in -10 to 0 ms"]
-    ranges = [f"{low:g} to {high:g} mm/s" for low, high in SPEEDS_MM_S]
+    ranges = [f"{low} to {high} mm/s" for low, high in pairwise(SPEEDS_MM_S)] + [f"over {SPEEDS_MM_S[-1]} mm/s"]
     said = "Simulated; the paper's recipe, one training, judged by its labels, with intervals by object:"
     stays = (
         "Simulated; share of the ms from the onset to the end of contact in which slip is detected, by sliding speed:"

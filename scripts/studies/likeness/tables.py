@@ -32,7 +32,7 @@ MISSES = {
         " late. Networks are in time about as often as in the paper"
     ),
     "one-threshold-first": "as one-threshold",
-    "quiet-before-slip": "as one-threshold: spots of a rough object let go one after the other before slip",
+    "quiet-before-slip": "as one-threshold; the roughness of objects may add to it, which was not looked into",
     "half-slipped-time": "as one-threshold",
 }
 
