@@ -496,7 +496,7 @@ def _known_dots(gel: _HasGel, preset: str) -> tuple[NDArray[np.float64], presets
     if dots.ndim not in (2, 3) or dots.shape[-1] != 2 or dots.size == 0:
         expected, found = "(rows, columns, 2), or (dots, 2): x and y of each dot", f"shape {dots.shape}"
         raise InputError("not dot positions", where=f"{where}: dot_xy_px", expected=expected, found=found)
-    return dots, presets.PRESETS[preset].for_dots(gel.dot_radius_px)
+    return dots, presets.PRESETS[preset].for_dots(gel.dot_radius_px, gel.sensitivity.contrast_over_threshold)
 
 
 def _in_rows(dot_xy_px: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:

@@ -31,7 +31,7 @@ from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.recordings.read import open_recording
 
 OUTPUT = "labels"
-METHOD = 6
+METHOD = 7
 OF_REVIEW = ("after_ms",)  # parameters of the recipe that also apply to manual labels
 
 

@@ -46,7 +46,8 @@ def compute(recording: Recording, params: Label, progress: Progress = silent) ->
             constants = event_flow.EventFlowConstants(
                 slip_distance_px=params.slip_distance_px, after_ms=params.after_ms
             )
-            arguments = dots.reshape(-1, 2), radius, constants, start
+            contrast = recording.sensitivity.contrast_over_threshold
+            arguments = dots.reshape(-1, 2), radius, contrast, constants, start
             return event_flow.label(between, slices, window, recording.frame_px, *arguments)
         names = flow.FlowConstants.__dataclass_fields__
         parameters = {name: value for name, value in recipe_of(params).items() if name in names}

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from evetac_cli.kernels.tracking.tracker import TrackerState, Tracks
 
 OUTPUT = "tracks"
-METHOD = 6
+METHOD = 7
 
 
 def jobs(files: list[Path], params: Track, out: Path | None) -> list[Job]:
@@ -57,7 +57,12 @@ def _constants(params: Track) -> tuple[str, presets.TrackerConstants]:
 
 
 def _recipe(
-    preset: str, tracker_constants: presets.TrackerConstants, dot_radius_px: float, grid: str, recording: Header
+    preset: str,
+    tracker_constants: presets.TrackerConstants,
+    dot_radius_px: float,
+    contrast_over_threshold: float | None,
+    grid: str,
+    recording: Header,
 ) -> Recipe:
     parameters = {
         "preset": preset,
@@ -65,6 +70,7 @@ def _recipe(
             tracker_constants
         ),  # of the preset, before scaling, so that they are the same for all sensors
         "dot_radius_px": dot_radius_px,
+        "contrast_over_threshold": contrast_over_threshold,
         "grid": grid,
     }
     return Recipe(OUTPUT, METHOD, parameters, parents=(recording,))
@@ -79,7 +85,9 @@ def run(job: Job, params: Track, *, force: bool = False, progress: Progress = si
     name, tracker_constants = _constants(params)
     with open_recording(job.inputs[0]) as recording:
         calibration = _calibration(recording, params.calibration)
-        recipe = _recipe(name, tracker_constants, calibration.dot_radius_px, calibration.digest(), recording.header)
+        known = recording.sensitivity.known() | calibration.sensitivity.known()
+        of_dots = calibration.dot_radius_px, known.get("contrast_over_threshold")
+        recipe = _recipe(name, tracker_constants, *of_dots, calibration.digest(), recording.header)
         simulated = recording.header["simulated"]
         if up_to_date(job.output, recipe, force=force):
             return outcome(job, made=False, simulated=simulated)
@@ -88,7 +96,7 @@ def run(job: Job, params: Track, *, force: bool = False, progress: Progress = si
 
         rows, columns = calibration.dot_xy_px.shape[:2]
         try:
-            fitting = tracker_constants.for_dots(calibration.dot_radius_px)
+            fitting = tracker_constants.for_dots(*of_dots)
             state = tracker.start(calibration.dot_xy_px.reshape(-1, 2), fitting, frame_px=recording.frame_px)
         except ValueError as error:
             raise InputError(f"the dots cannot be tracked: {error}", where=str(recording.path)) from error

@@ -167,7 +167,7 @@ def scene_rows(name: str, preset: str, seed: int) -> Rows:
 
     def run() -> Rows:
         slip = _simulated(name, seed)
-        constants = PRESETS[preset].for_dots(slip.dot_radius_px)
+        constants = PRESETS[preset].for_dots(slip.dot_radius_px, slip.contrast_over_threshold)
         rows = _followed(f"slip, {name}", preset, constants, slip.dots_px, slip.slices)
         return [{**row, "outcome": f"{row['outcome']}{in_nodes(slip.half_wavelength_nodes)}"} for row in rows]
 
@@ -176,13 +176,14 @@ def scene_rows(name: str, preset: str, seed: int) -> Rows:
 
 @dataclass(frozen=True)
 class SimulatedSlip:
-    """A slip: the dots that the tracker is given, their radius, and the slices.
+    """A slip: the dots that the tracker is given, their radius and contrast over threshold, and the slices.
 
     half_wavelength_nodes: see slip_grid.
     """
 
     dots_px: Floats
     dot_radius_px: float
+    contrast_over_threshold: float
     slices: list[tuple[Columns, Floats]]
     half_wavelength_nodes: float | None
 
@@ -201,8 +202,9 @@ def _simulated(name: str, seed: int) -> SimulatedSlip:
             nodes.append(rows[slip_grid.NODES])
     finally:
         devices.close()
-    radius_px, fewest = float(sensor["sensor/dot_radius_px"]), slip_grid.fewest_nodes(nodes)
-    return SimulatedSlip(np.asarray(sensor["sensor/dot_xy_px"].reshape(-1, 2)), radius_px, played, fewest)
+    of_dots = (float(sensor[f"sensor/{name}"]) for name in ("dot_radius_px", "contrast_over_threshold"))
+    dots_px = np.asarray(sensor["sensor/dot_xy_px"].reshape(-1, 2))
+    return SimulatedSlip(dots_px, *of_dots, played, slip_grid.fewest_nodes(nodes))
 
 
 def _followed(

@@ -203,6 +203,7 @@ def label(
     frame_px: tuple[int, int],
     dot_xy_px: Floats,
     dot_radius_px: float,
+    contrast_over_threshold: float | None,
     constants: EventFlowConstants,
     start: int = 0,
 ) -> Labels:
@@ -219,7 +220,7 @@ def label(
     window_events = np.zeros(slices + 1, np.int64)
     leading = [0.0]
     dragged = 0.0
-    arguments = between, slices, frame_px, dots, dot_radius_px
+    arguments = between, slices, frame_px, dots, dot_radius_px, contrast_over_threshold
     for first, events, away_px in follow(*arguments):
         stop = first + len(away_px) - 1
         window_events[first + 1 : stop + 1] = window_travel.slice_counts(events, window, quiet, first, stop)
@@ -241,13 +242,19 @@ def label(
 
 
 def follow(
-    between: Between, slices: int, frame_px: tuple[int, int], dots: Floats, radius_px: float
+    between: Between,
+    slices: int,
+    frame_px: tuple[int, int],
+    dots: Floats,
+    radius_px: float,
+    contrast_over_threshold: float | None,
 ) -> Iterator[tuple[int, Events, Floats]]:
     """Track the dots: yield blocks of first slice, events, and distances of the dots from rest (slices + 1, dots).
 
     The distances are those at the start of every slice, and after the last.
     """
-    state = tracker.start(dots, PRESETS[PRESET].for_dots(radius_px), frame_px=frame_px)
+    constants = PRESETS[PRESET].for_dots(radius_px, contrast_over_threshold)
+    state = tracker.start(dots, constants, frame_px=frame_px)
     before = np.zeros((1, len(dots)))
     for first in range(0, slices, BLOCK_SLICES):
         stop = min(first + BLOCK_SLICES, slices)

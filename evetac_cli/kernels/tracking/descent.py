@@ -39,7 +39,7 @@ def pull_dots(
     bucket = np.empty(buckets.BLOCK, np.uint16)
     near_dot = np.empty(room, np.uint32)
     near_px = np.empty((2, room))
-    no_p = np.empty(0, np.uint8)
+    near_event = np.empty(room, np.int64)
     terms = np.empty((SUMS, room), np.int64)
     for begin in range(0, x.shape[0], buckets.BLOCK):
         end = min(begin + buckets.BLOCK, x.shape[0])
@@ -49,7 +49,7 @@ def pull_dots(
         _add_pulls(end - begin, near_dot, near_px, constants, terms, sums)
         k = 0 if several else len(xs)
         while k < len(xs):
-            k, pairs = buckets.nearby_dots(state, xs, ys, no_p, k, bucket, near_dot, near_px, no_p)
+            k, pairs = buckets.nearby_dots(state, xs, ys, k, bucket, near_dot, near_px, near_event)
             _add_pulls(pairs, near_dot, near_px, constants, terms, sums)
 
 

@@ -6,9 +6,18 @@ An event in a dot's ring, at distance d from the centre in direction n, is evide
   events move a dot as the paper's step would.
 - The event is on the leading or the trailing rim. A moving dark dot has OFF events (darker) on its leading rim and ON
   events (brighter) on its trailing rim. So the sum of +n and -n points along the motion and grows with it: each event
-  counts as `event_px` of motion. This sum is called the motion seen. Both rims agree if the dot itself moves.
+  counts as `event_px` of motion, times what it shows (see below). This sum is called the motion seen. Both rims agree
+  if the dot itself moves.
 - The event came late. A pixel has an event after its level has changed by the contrast threshold, so either rim is
   seen `rim_lag_px` behind the motion. Since the side is known, this lag is subtracted.
+
+What an event shows: a pixel sends an event when its brightness has changed by the threshold since its last event. If it
+goes on in the same direction, its next event shows one threshold. If it turns, it must first go back, so that the event
+shows more than two; a pixel's first event shows one and a half, since the level at which it starts is unknown
+(buckets.py). Counted alike, a dot under a load that comes and goes appears to move by half. A pixel has one event per
+scan, however far its brightness goes meanwhile, so fast motion makes fewer events: a share of `unseen_per_px` for every
+px per slice. This and the sensor's contrast over threshold, if known, make the motion seen right by itself. The rims
+then correct it.
 
 Events are spread evenly over the slice, so the rims are seen where they were half way through. With H = sum w n n^T,
 s = sum w beyond n and the motion seen f, the correction c to f solves H c = s - H f / 2.
@@ -53,6 +62,8 @@ BRIGHTER = 2 * SIDE
 COUNTS = 3  # index of the counts (buckets.py) among the four numbers of either polarity
 SYSTEM = 8  # numbers per dot: inverse matrix (xx, xy, yy), right side (2), correction (2), weight of a neighbour
 CHANCE = 1.0  # both rims may differ by this many standard deviations, each the square root of the sum of w
+SHOWN_BY_ONE = 4.0  # what the rims show may differ by this in addition: slow motion has one event in many slices
+MOST_UNSEEN = 0.6  # most of a slice's motion that is taken to have no events
 UNLIMITED = 1e12  # ... this many explain every difference
 LEAST_SHARE = 0.01  # with a smaller share of one polarity, the camera is taken to send only the other
 LIGHT_DOTS = 0.75  # the light changes, and nothing moves, if this share of the dots has events of one polarity,
@@ -83,19 +94,25 @@ def measure_rims(
     bucket = np.empty(buckets.BLOCK, np.uint16)
     near_dot = np.empty(room, np.uint32)
     near_px = np.empty((2, room))
+    near_event = np.empty(room, np.int64)
     near_p = np.empty(room, np.uint8)
+    near_shows = np.empty(room)
+    shows = np.empty(x.shape[0])
+    buckets.motion_shown(x, y, p, buckets.pixel_counts(state), shows)
     terms = np.empty((2 * SIDE, room), np.int64)
     for begin in range(0, x.shape[0], buckets.BLOCK):
         end = min(begin + buckets.BLOCK, x.shape[0])
         xs = x[begin:end]
         ys = y[begin:end]
-        ps = p[begin:end]
         several = buckets.nearby_dot(state, xs, ys, any_hot, bucket, near_dot, near_px)
-        _add_rims(end - begin, near_dot, near_px, ps, constants, terms, sums)
+        _add_rims(end - begin, near_dot, near_px, p[begin:end], shows[begin:end], constants, terms, sums)
         k = 0 if several else len(xs)
         while k < len(xs):
-            k, pairs = buckets.nearby_dots(state, xs, ys, ps, k, bucket, near_dot, near_px, near_p)
-            _add_rims(pairs, near_dot, near_px, near_p, constants, terms, sums)
+            k, pairs = buckets.nearby_dots(state, xs, ys, k, bucket, near_dot, near_px, near_event)
+            for pair in range(pairs):
+                near_p[pair] = p[begin + near_event[pair]]
+                near_shows[pair] = shows[begin + near_event[pair]]
+            _add_rims(pairs, near_dot, near_px, near_p, near_shows, constants, terms, sums)
 
 
 @njit(cache=True)
@@ -104,6 +121,7 @@ def _add_rims(
     near_dot: NDArray[np.uint32],
     near_px: NDArray[np.float64],
     near_p: NDArray[np.uint8],
+    near_shows: NDArray[np.float64],
     constants: tuple[float, float, float, float],
     terms: NDArray[np.int64],
     sums: NDArray[np.int64],
@@ -131,8 +149,9 @@ def _add_rims(
         terms[2, k] = int(weight * nx * nx)
         terms[3, k] = int(weight * nx * ny)
         terms[4, k] = int(weight)
-        terms[5, k] = int(weight * nx)
-        terms[6, k] = int(weight * ny)
+        shown = (shape > 0.0) * near_shows[k] * UNITS
+        terms[5, k] = int(shown * nx)
+        terms[6, k] = int(shown * ny)
         terms[DARKER + COUNTS, k] = (shape > 0.0) * RING_EVENT + (distance_px2 < count_radius_px2)
     for k in range(pairs):
         i = np.uint64(near_dot[k])
@@ -172,10 +191,11 @@ def solve(
     state["light_slices"] += chance == CHANCE and _light_changes(dots, sums)
     damping = 0.5 / state["step_size"]
     constants = damping, state["regulariser_weight"], state["trust_px"], state["event_px"], state["most_events"], chance
+    unseen_per_px = state["unseen_per_px"]
     system = np.empty((dots, SYSTEM))
     one_rim_px, too_far = state["one_rim_px"][:dots], state["too_far"][:dots]
     for i in range(dots):
-        _set_up(i, sums, neighbour_count[i], constants, system, shift_px, one_rim_px, too_far)
+        _set_up(i, sums, neighbour_count[i], constants, unseen_per_px, system, shift_px, one_rim_px, too_far)
     for _ in range(state["sweeps"]):
         for i in range(dots):
             right_x = system[i, 3]
@@ -216,6 +236,7 @@ def _set_up(
     sums: NDArray[np.int64],
     neighbour_count: int,
     constants: tuple[float, float, float, float, float, float],
+    unseen_per_px: float,
     system: NDArray[np.float64],
     shift_px: NDArray[np.float64],
     one_rim_px: NDArray[np.float64],
@@ -231,13 +252,15 @@ def _set_up(
     total = (sums[i, DARKER] + sums[i, BRIGHTER]) / UNITS
     yy = total - xx  # n is a unit vector
     by_chance = chance * sqrt(total)
-    both_x, both_y, alone_x, alone_y = _both_rims(i, sums, by_chance)
+    both_x, both_y, alone_x, alone_y = _both_rims(i, sums, by_chance + SHOWN_BY_ONE)
     one_rim_px[i, 0] += event_px * alone_x
     one_rim_px[i, 1] += event_px * alone_y
     shown_x = event_px * (both_x + alone_x)
     shown_y = event_px * (both_y + alone_y)
     too_far[i] = shown_x * shown_x + shown_y * shown_y > 4.0 * trust_px * trust_px
-    seen_x, seen_y = _limited(event_px * both_x, event_px * both_y, trust_px)
+    unseen = unseen_per_px * event_px * sqrt(both_x * both_x + both_y * both_y)
+    moved_px = event_px / max(1.0 - unseen, 1.0 - MOST_UNSEEN)
+    seen_x, seen_y = _limited(moved_px * both_x, moved_px * both_y, trust_px)
     of_one_polarity = max(abs(sums[i, DARKER] - sums[i, BRIGHTER]) / UNITS - by_chance, 0.0)
     scale = min(1.0, most_events / max(total, 1e-12)) * (1.0 - of_one_polarity / max(total, 1e-12))
     damping += LEAST_DAMPING * (1.0 + scale * total)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from evetac_cli.errors import check_range, check_whole
 
+USUAL_CONTRAST = 8.0  # of a dot over the camera's threshold, in log units
 MAX_REACH_PX = 128.0  # keeps the integer sum of 1e6 pulls below 2**63
 
 
@@ -41,9 +42,12 @@ class TrackerConstants:
     rest_slices: int = 0  # slices of rest after which a lost dot is put back; 0: never
     fit: bool = False  # solve for the motion, with polarity, instead of a gradient step
     sweeps: int = 8  # of Gauss-Seidel over all dots
-    trust_px: float = 1.5  # largest motion seen in a slice, and largest correction of it
-    rim_lag_px: float = 0.2  # events come when the rim is this far beyond their pixel (hysteresis of the threshold)
-    event_px: float = 1.0 / 300.0  # motion of a dot per ring event, as far as both rims agree
+    trust_px: float = 3.0  # largest motion seen in a slice, and largest correction of it
+    rim_lag_px: float = 0.125  # events come when the rim is this far beyond their pixel (hysteresis of the threshold)
+    # Motion of a dot per threshold crossed in its ring, as far as both rims agree: 1 / (pi radius_px thresholds), for a
+    # rim over which the brightness changes by 8 thresholds.
+    event_px: float = 1.0 / 377.0
+    unseen_per_px: float = 0.2  # share of the motion without events, per px of it in a slice (fit.py)
     most_events: float = 1000.0  # weight limit of a dot's rim, in events
 
     def __post_init__(self) -> None:
@@ -52,24 +56,26 @@ class TrackerConstants:
         check_range("regulariser_weight", self.regulariser_weight)
         check_whole("min_events", self.min_events, 0, 2**31 - 1)
 
-    def for_dots(self, dot_radius_px: float) -> "TrackerConstants":
+    def for_dots(self, dot_radius_px: float, contrast_over_threshold: float | None = None) -> "TrackerConstants":
         """Return the constants for dots of this radius: with `fit` the ring changes with it; otherwise nothing does.
 
-        The widths of ring and count stay the same. A rim has events in proportion to its length, so each event on a
-        longer rim represents less motion. The radii of the paper's presets are part of their definition. ValueError if
-        the radius is not above half the width of the ring, or the ring is too large.
+        The widths of ring and count stay the same. A rim has events in proportion to its length and to its contrast
+        over the camera's threshold (8 if unknown), so each event on a longer or darker rim represents less motion. The
+        radii of the paper's presets are part of their definition. ValueError if the radius is not above half the width
+        of the ring, or the ring is too large.
         """
         if not self.fit:
             return self
         half_ring_px = self.ring_outer_px - self.radius_px
         check_range("dot_radius_px", dot_radius_px, half_ring_px, MAX_REACH_PX - half_ring_px)
+        contrast = USUAL_CONTRAST if contrast_over_threshold is None else contrast_over_threshold
         return replace(
             self,
             radius_px=dot_radius_px,
             ring_inner_px=dot_radius_px - half_ring_px,
             ring_outer_px=dot_radius_px + half_ring_px,
             count_radius_px=dot_radius_px + (self.count_radius_px - self.radius_px),
-            event_px=min(self.event_px * (self.radius_px / dot_radius_px), 1.0),
+            event_px=min(self.event_px * (self.radius_px / dot_radius_px) * (USUAL_CONTRAST / contrast), 1.0),
         )
 
 

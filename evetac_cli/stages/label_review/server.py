@@ -209,7 +209,8 @@ def _dots(recording: Recording, first: int, stop: int) -> dict[str, Any]:
     rest = np.ascontiguousarray(grid.reshape(-1, 2)[np.isfinite(grid.reshape(-1, 2)).all(axis=1)], np.float64)
     begin = max(first - TRACKED_MS, 0)
     try:
-        state = tracker.start(rest, PRESETS["stable"].for_dots(radius_px), frame_px=recording.frame_px)
+        constants = PRESETS["stable"].for_dots(radius_px, recording.sensitivity.contrast_over_threshold)
+        state = tracker.start(rest, constants, frame_px=recording.frame_px)
         events = recording.between(begin, stop)
         starts = recording.starts[begin : stop + 1] - recording.starts[begin]
         dots = tracker.fold(state, events.x, events.y, events.p, starts).dot_xy_px[first - begin :]

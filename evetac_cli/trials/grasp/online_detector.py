@@ -169,14 +169,15 @@ def open_detector(
     threshold: of its alarms. constants: of the tracker, for dots of the usual size;
     sticking: whether the signal includes the sticking share. InputError if the model is for another dot grid.
     """
-    constants = constants.for_dots(float(sensor["sensor/dot_radius_px"]))
+    known = sensitivity_of(sensor)
+    constants = constants.for_dots(float(sensor["sensor/dot_radius_px"]), known.contrast_over_threshold)
     detector = OnlineSlipDetector.start(
         model,
         sensor["sensor/dot_xy_px"],
         sensor.get("sensor/window_px"),
         constants,
         threshold,
-        sensitivity_of(sensor),
+        known,
         frame_px=sensor["sensor/frame_px"],
     )
     if sticking:

@@ -22,6 +22,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.kernels.compiled import njit
 from evetac_cli.kernels.force.gel_forces import CreepMemory
+from evetac_cli.kernels.slip.architectures import sensitivity_of
 from evetac_cli.kernels.touch import touch_map
 from evetac_cli.kernels.touch.dot_motion import CELL_MM
 from evetac_cli.kernels.touch.touch_map import TouchReading
@@ -172,7 +173,8 @@ class Follower:
             self._tracking = self._detector.tracking
         except InputError as error:
             self.notes = [f"no slip: {str(error).splitlines()[0]}"]
-            constants = presets.PRESETS["stable"].for_dots(float(sensor["sensor/dot_radius_px"]))
+            contrast = sensitivity_of(sensor).contrast_over_threshold
+            constants = presets.PRESETS["stable"].for_dots(float(sensor["sensor/dot_radius_px"]), contrast)
             self._tracking = tracker.start(sensor["sensor/dot_xy_px"].reshape(-1, 2), constants, frame_px=self.frame_px)
         try:
             self._touch = LiveTouch(sensor, self._tracking, PERIOD_S)

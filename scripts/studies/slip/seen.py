@@ -47,7 +47,8 @@ class Seen:
         if self._tracking is None:
             self.sensor = sensor
             self.rest_px = np.asarray(sensor["sensor/dot_xy_px"], np.float64).reshape(-1, 2)
-            constants = PRESETS[TRACKER].for_dots(float(sensor["sensor/dot_radius_px"]))
+            contrast = sensitivity_of(sensor).contrast_over_threshold
+            constants = PRESETS[TRACKER].for_dots(float(sensor["sensor/dot_radius_px"]), contrast)
             self._tracking = tracker.start(self.rest_px, constants)
             self._sticking = StickingShare(self.rest_px, sensor["sensor/frame_px"]) if self._sticks else None
         state = self._tracking

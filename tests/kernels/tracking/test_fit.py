@@ -52,8 +52,11 @@ def nothing() -> Slice:
     return np.empty(0, np.uint16), np.empty(0, np.uint16), np.empty(0, np.uint8)
 
 
-def reference(state: TrackerState, slice_: Slice) -> NDArray[np.float64]:
-    """Where the dots are after a slice, by the equations in the module's docstring, in plain loops."""
+def reference(state: TrackerState, slice_: Slice, last: dict[tuple[int, int], set[int]]) -> NDArray[np.float64]:
+    """Where the dots are after a slice, by the equations in the module's docstring, in plain loops.
+
+    last: polarities of the last slice in which a pixel had events; it is updated.
+    """
     constants, centres = state.constants, state.dot_xy_px.copy()
     n = len(centres)
     half = constants.ring_outer_px - constants.radius_px
@@ -70,18 +73,22 @@ def reference(state: TrackerState, slice_: Slice) -> NDArray[np.float64]:
             weight, normal = (1 - (beyond / half) ** 2) ** 2, away / distance
             h[i] += weight * np.outer(normal, normal)
             s[i] += weight * beyond * normal
-            rims_say[p, i] += weight * leading * normal
+            shown = {frozenset(): 1.5, frozenset({0, 1}): 1.5, frozenset({p}): 1.0}
+            rims_say[p, i] += shown.get(frozenset(last.get((x, y), ())), 2.6) * leading * normal
             weights[p, i] += weight
             events[i] += 1
+    for pixel in {(x, y) for x, y, _ in zip(*slice_, strict=True)}:
+        last[pixel] = {p for x, y, p in zip(*slice_, strict=True) if (x, y) == pixel}
     total = np.trace(h, axis1=1, axis2=2)
     both = rims_say.sum(axis=0)
     for i in range(n):
         off = rims_say[0, i] - rims_say[1, i]
-        most = max(1 - np.sqrt(total[i]) / max(np.linalg.norm(off), 1e-12), 0)
+        most = max(1 - (np.sqrt(total[i]) + 4.0) / max(np.linalg.norm(off), 1e-12), 0)
         both[i] -= np.clip(both[i] @ off / max(off @ off, 1e-12), -most, most) * off
     odd = np.maximum(np.abs(weights[0] - weights[1]) - np.sqrt(total), 0)
     share = 1 - odd / np.maximum(total, 1e-12)
     seen = constants.event_px * both
+    seen /= np.maximum(1 - constants.unseen_per_px * np.linalg.norm(seen, axis=1), 0.4)[:, None]
     seen *= np.minimum(1, constants.trust_px / np.maximum(np.linalg.norm(seen, axis=1), 1e-12))[:, None]
     correction = np.zeros((n, 2))
     for _ in range(constants.sweeps):
@@ -102,9 +109,11 @@ def test_agrees_with_plain_reference(changes: dict[str, float]) -> None:
     """Assert that positions equal the equations in plain loops to 1e-6 px (the damping has a floor of 1e-9)."""
     rng = np.random.default_rng(1)
     state = tracker.start(grid(), replace(STABLE, **changes))  # type: ignore[arg-type]
-    for _ in range(6):
-        slice_ = contact_edges(rng, state.dot_xy_px + rng.uniform(-2, 2, (30, 2)), np.array([0.03, -0.02]), 250.0)
-        expected = reference(state, slice_)
+    last: dict[tuple[int, int], set[int]] = {}
+    for turn in range(6):
+        motion_px = np.array([0.3, -0.2]) * (-1) ** turn  # so that pixels reverse
+        slice_ = contact_edges(rng, state.dot_xy_px + rng.uniform(-2, 2, (30, 2)), motion_px, 250.0)
+        expected = reference(state, slice_, last)
         assert np.abs(expected - state.dot_xy_px).max() > 1e-3
         tracker.step(state, *slice_)
         assert np.abs(state.dot_xy_px - expected).max() < 1e-6
