@@ -202,9 +202,9 @@ def _simulated(name: str, seed: int) -> SimulatedSlip:
             nodes.append(rows[slip_grid.NODES])
     finally:
         devices.close()
-    of_dots = (float(sensor[f"sensor/{name}"]) for name in ("dot_radius_px", "contrast_over_threshold"))
+    radius_px, contrast = (float(sensor[f"sensor/{name}"]) for name in ("dot_radius_px", "contrast_over_threshold"))
     dots_px = np.asarray(sensor["sensor/dot_xy_px"].reshape(-1, 2))
-    return SimulatedSlip(dots_px, *of_dots, played, slip_grid.fewest_nodes(nodes))
+    return SimulatedSlip(dots_px, radius_px, contrast, played, slip_grid.fewest_nodes(nodes))
 
 
 def _followed(

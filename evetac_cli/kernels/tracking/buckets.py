@@ -309,8 +309,8 @@ def nearby_dots(
 ) -> tuple[int, int]:
     """Pair the events of a block in buckets of several dots, starting at `begin`, with every dot they may belong to.
 
-    Fills near_dot, near_px and the indices of the events, near_event. Returns the event to continue at, and the number of pairs.
-    There is room for BLOCK pairs plus one per dot. `bucket` comes from `nearby_dot`; state: tracker.STATE.
+    Fills near_dot, near_px and near_event, the events' indices. Returns the event to continue at, and the number of
+    pairs. There is room for BLOCK pairs plus one per dot. `bucket` comes from `nearby_dot`; state: tracker.STATE.
     """
     centre_xy_px, first_dot = state["centre_xy_px"][: state["dots"] + 1], state["first_dot"][:]
     bucket_start, bucket_dots = state["bucket_start"][:], state["bucket_dots"][:]
