@@ -79,9 +79,11 @@ def model_path(request: pytest.FixtureRequest, made: Made) -> Path:
 def open_online(model: StageFile, recording: Recording) -> OnlineSlipDetector:
     dots = recording.dot_xy_px
     assert dots is not None
-    constants = presets.PRESETS["stable"].for_dots(recording.dot_radius_px)
+    assert recording.dot_radius_px is not None
+    known = recording.sensitivity
+    constants = presets.PRESETS["stable"].for_dots(recording.dot_radius_px, known.contrast_over_threshold)
     threshold = chosen_threshold(model)
-    online = OnlineSlipDetector.start(model, dots, recording.window_px, constants, threshold, recording.sensitivity)
+    online = OnlineSlipDetector.start(model, dots, recording.window_px, constants, threshold, known)
     online.sticking = None  # as in the features: neither gripper nor sticking share is known
     return online
 

@@ -11,6 +11,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.events import Events
 from evetac_cli.jobs import Progress, silent
 from evetac_cli.kernels.labelling import flow
+from evetac_cli.kernels.tracking.presets import PRESETS
 from evetac_cli.stages.related_files import no_truth
 from evetac_cli.store.calibration import MAKE_GRID
 from evetac_cli.store.recordings.read import Recording, ramp_start
@@ -40,14 +41,13 @@ def compute(recording: Recording, params: Label, progress: Progress = silent) ->
             if dots is None:
                 hint = f"{MAKE_GRID} to evetac record, or label with --method farneback"
                 raise InputError("the recording has no dot grid", where=str(recording.path), hint=hint)
-            radius = float(recording.read("sensor/dot_radius_px"))
             from evetac_cli.kernels.labelling import event_flow
 
             constants = event_flow.EventFlowConstants(
                 slip_distance_px=params.slip_distance_px, after_ms=params.after_ms
             )
-            contrast = recording.sensitivity.contrast_over_threshold
-            arguments = dots.reshape(-1, 2), radius, contrast, constants, start
+            of_dots = float(recording.read("sensor/dot_radius_px")), recording.sensitivity.contrast_over_threshold
+            arguments = dots.reshape(-1, 2), PRESETS["stable"].for_dots(*of_dots), constants, start
             return event_flow.label(between, slices, window, recording.frame_px, *arguments)
         names = flow.FlowConstants.__dataclass_fields__
         parameters = {name: value for name, value in recipe_of(params).items() if name in names}

@@ -41,7 +41,7 @@ from evetac_cli.kernels.labelling import window_travel
 from evetac_cli.kernels.labelling.flow import Between, Labels, Region, apart
 from evetac_cli.kernels.labelling.window_travel import STEP_MS
 from evetac_cli.kernels.tracking import tracker
-from evetac_cli.kernels.tracking.presets import PRESETS
+from evetac_cli.kernels.tracking.presets import TrackerConstants
 
 HALF_MS = 6  # following is measured over at most this many slices before a slice, and after it
 LAG_MS = 12  # the dots in contact are determined this many slices earlier
@@ -190,7 +190,6 @@ def _lasting(log_odds: Floats, slid_px: Floats, start: int, lasting_px: float, p
     return -1
 
 
-PRESET = "stable"  # of the tracker
 BLOCK_SLICES = 1000  # events are read in blocks of this many slices
 LEADING_DOTS = 3  # the dots that move farthest are taken to move with the object
 TRAVEL_PX = 1.5  # once the gel was dragged this far, a texture must have been seen
@@ -202,8 +201,7 @@ def label(
     window: Region,
     frame_px: tuple[int, int],
     dot_xy_px: Floats,
-    dot_radius_px: float,
-    contrast_over_threshold: float | None,
+    tracking: TrackerConstants,
     constants: EventFlowConstants,
     start: int = 0,
 ) -> Labels:
@@ -220,7 +218,7 @@ def label(
     window_events = np.zeros(slices + 1, np.int64)
     leading = [0.0]
     dragged = 0.0
-    arguments = between, slices, frame_px, dots, dot_radius_px, contrast_over_threshold
+    arguments = between, slices, frame_px, dots, tracking
     for first, events, away_px in follow(*arguments):
         stop = first + len(away_px) - 1
         window_events[first + 1 : stop + 1] = window_travel.slice_counts(events, window, quiet, first, stop)
@@ -242,19 +240,13 @@ def label(
 
 
 def follow(
-    between: Between,
-    slices: int,
-    frame_px: tuple[int, int],
-    dots: Floats,
-    radius_px: float,
-    contrast_over_threshold: float | None,
+    between: Between, slices: int, frame_px: tuple[int, int], dots: Floats, tracking: TrackerConstants
 ) -> Iterator[tuple[int, Events, Floats]]:
     """Track the dots: yield blocks of first slice, events, and distances of the dots from rest (slices + 1, dots).
 
     The distances are those at the start of every slice, and after the last.
     """
-    constants = PRESETS[PRESET].for_dots(radius_px, contrast_over_threshold)
-    state = tracker.start(dots, constants, frame_px=frame_px)
+    state = tracker.start(dots, tracking, frame_px=frame_px)
     before = np.zeros((1, len(dots)))
     for first in range(0, slices, BLOCK_SLICES):
         stop = min(first + BLOCK_SLICES, slices)

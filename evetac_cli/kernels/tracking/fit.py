@@ -93,10 +93,9 @@ def measure_rims(
     room = buckets.BLOCK + state["dots"] + 1
     bucket = np.empty(buckets.BLOCK, np.uint16)
     near_dot = np.empty(room, np.uint32)
-    near_px = np.empty((2, room))
+    near_px = np.empty((3, room))
     near_event = np.empty(room, np.int64)
     near_p = np.empty(room, np.uint8)
-    near_shows = np.empty(room)
     shows = np.empty(x.shape[0])
     buckets.motion_shown(x, y, p, buckets.pixel_counts(state), shows)
     terms = np.empty((2 * SIDE, room), np.int64)
@@ -105,14 +104,15 @@ def measure_rims(
         xs = x[begin:end]
         ys = y[begin:end]
         several = buckets.nearby_dot(state, xs, ys, any_hot, bucket, near_dot, near_px)
-        _add_rims(end - begin, near_dot, near_px, p[begin:end], shows[begin:end], constants, terms, sums)
+        near_px[2, : end - begin] = shows[begin:end]
+        _add_rims(end - begin, near_dot, near_px, p[begin:end], constants, terms, sums)
         k = 0 if several else len(xs)
         while k < len(xs):
             k, pairs = buckets.nearby_dots(state, xs, ys, k, bucket, near_dot, near_px, near_event)
             for pair in range(pairs):
                 near_p[pair] = p[begin + near_event[pair]]
-                near_shows[pair] = shows[begin + near_event[pair]]
-            _add_rims(pairs, near_dot, near_px, near_p, near_shows, constants, terms, sums)
+                near_px[2, pair] = shows[begin + near_event[pair]]
+            _add_rims(pairs, near_dot, near_px, near_p, constants, terms, sums)
 
 
 @njit(cache=True)
@@ -121,12 +121,14 @@ def _add_rims(
     near_dot: NDArray[np.uint32],
     near_px: NDArray[np.float64],
     near_p: NDArray[np.uint8],
-    near_shows: NDArray[np.float64],
     constants: tuple[float, float, float, float],
     terms: NDArray[np.int64],
     sums: NDArray[np.int64],
 ) -> None:
-    """Add pairs of an event and a dot to the dots' sums; terms is workspace."""
+    """Add pairs of an event and a dot to the dots' sums; terms is workspace.
+
+    near_px: (3, pairs) the way from the dot to the event, and the motion that the event shows (buckets.py).
+    """
     radius_px, half_ring_px, rim_lag_px, count_radius_px = constants
     per_half_ring = 1.0 / half_ring_px
     count_radius_px2 = count_radius_px * count_radius_px
@@ -149,7 +151,7 @@ def _add_rims(
         terms[2, k] = int(weight * nx * nx)
         terms[3, k] = int(weight * nx * ny)
         terms[4, k] = int(weight)
-        shown = (shape > 0.0) * near_shows[k] * UNITS
+        shown = (shape > 0.0) * near_px[2, k] * UNITS
         terms[5, k] = int(shown * nx)
         terms[6, k] = int(shown * ny)
         terms[DARKER + COUNTS, k] = (shape > 0.0) * RING_EVENT + (distance_px2 < count_radius_px2)
@@ -190,12 +192,12 @@ def solve(
     state["light_slices"] *= 1.0 - 1.0 / LIGHT_SLICES
     state["light_slices"] += chance == CHANCE and _light_changes(dots, sums)
     damping = 0.5 / state["step_size"]
-    constants = damping, state["regulariser_weight"], state["trust_px"], state["event_px"], state["most_events"], chance
-    unseen_per_px = state["unseen_per_px"]
+    of_motion = state["trust_px"], state["event_px"], state["unseen_per_px"]
+    constants = damping, state["regulariser_weight"], state["most_events"], chance, *of_motion
     system = np.empty((dots, SYSTEM))
     one_rim_px, too_far = state["one_rim_px"][:dots], state["too_far"][:dots]
     for i in range(dots):
-        _set_up(i, sums, neighbour_count[i], constants, unseen_per_px, system, shift_px, one_rim_px, too_far)
+        _set_up(i, sums, neighbour_count[i], constants, system, shift_px, one_rim_px, too_far)
     for _ in range(state["sweeps"]):
         for i in range(dots):
             right_x = system[i, 3]
@@ -235,8 +237,7 @@ def _set_up(
     i: int,
     sums: NDArray[np.int64],
     neighbour_count: int,
-    constants: tuple[float, float, float, float, float, float],
-    unseen_per_px: float,
+    constants: tuple[float, float, float, float, float, float, float],
     system: NDArray[np.float64],
     shift_px: NDArray[np.float64],
     one_rim_px: NDArray[np.float64],
@@ -246,7 +247,7 @@ def _set_up(
 
     Motion shown by one rim alone is added to one_rim_px; too_far is set if the rims show more than a slice may follow.
     """
-    damping, regulariser_weight, trust_px, event_px, most_events, chance = constants
+    damping, regulariser_weight, most_events, chance, trust_px, event_px, unseen_per_px = constants
     xx = sums[i, 2] / UNITS
     xy = sums[i, 3] / UNITS
     total = (sums[i, DARKER] + sums[i, BRIGHTER]) / UNITS

@@ -8,11 +8,13 @@ import pytest
 
 from evetac_cli.events import FRAME_PX, Events, empty
 from evetac_cli.kernels.labelling import event_flow, flow
+from evetac_cli.kernels.tracking.presets import PRESETS
 from tests.quick import few
 
 WINDOW = (565, 0, 640, 480)
 DOTS = np.stack(np.meshgrid([120.0, 260.0, 400.0], [100.0, 240.0, 380.0]), axis=-1).reshape(-1, 2)
 RADIUS_PX = 15.0
+TRACKING = PRESETS["stable"].for_dots(RADIUS_PX)
 EDGE_EVENTS = 6.9  # thresholds that a dot's rim crosses
 CONSTANTS = event_flow.EventFlowConstants()
 RATE = 500  # events of the window a pixel, as long as it has not moved
@@ -64,7 +66,7 @@ def slide_of(creep_px_ms: float, slide_px_ms: float, onset: int, slices: int, an
 
 def labels(dot_px: np.ndarray, object_px: Sequence[float], start: int = LOAD_MS, **how: float) -> flow.Labels:
     between = scene(dot_px, object_px, **how)
-    return event_flow.label(between, len(object_px) - 1, WINDOW, FRAME_PX, DOTS, RADIUS_PX, None, CONSTANTS, start)
+    return event_flow.label(between, len(object_px) - 1, WINDOW, FRAME_PX, DOTS, TRACKING, CONSTANTS, start)
 
 
 @pytest.mark.parametrize("block", few([1, 3, 7, 650, 1000], 7, 650))
@@ -172,7 +174,7 @@ def test_an_object_that_rests_goes_nowhere() -> None:
         order = np.argsort(columns[0], kind="stable")
         return Events(*(c[order].astype(d) for c, d in zip(columns, (np.int64, "u2", "u2", "u1"), strict=True)))
 
-    result = event_flow.label(noisy, 2000, WINDOW, FRAME_PX, DOTS, RADIUS_PX, None, CONSTANTS, LOAD_MS)
+    result = event_flow.label(noisy, 2000, WINDOW, FRAME_PX, DOTS, TRACKING, CONSTANTS, LOAD_MS)
     assert result.onset == -1
     travelled_px = result.relative_flow_px[LOAD_MS + 50 :].sum() / CONSTANTS.look_ahead_ms
     assert abs(travelled_px) < 0.5
@@ -197,7 +199,7 @@ def test_an_object_without_texture_is_refused() -> None:
 def test_a_frame_in_which_dots_cannot_be_followed_is_refused() -> None:
     """Assert that a frame larger than the tracker's is an error that says so."""
     with pytest.raises(ValueError, match="at most 2048 px, found 2049 x 720"):
-        event_flow.label(lambda a, b: empty(), 5, WINDOW, (2049, 720), DOTS, RADIUS_PX, None, CONSTANTS)
+        event_flow.label(lambda a, b: empty(), 5, WINDOW, (2049, 720), DOTS, TRACKING, CONSTANTS)
 
 
 def test_missing_dots_are_left_out() -> None:
@@ -205,15 +207,15 @@ def test_missing_dots_are_left_out() -> None:
     dot_px, object_px = slide_of(0.02, 0.1, 600, 650)
     between, slices = scene(dot_px, object_px), len(object_px) - 1
     with_gap = np.concatenate([DOTS, [[np.nan, np.nan]]])
-    whole = event_flow.label(between, slices, WINDOW, FRAME_PX, DOTS, RADIUS_PX, None, CONSTANTS, LOAD_MS)
-    gap = event_flow.label(between, slices, WINDOW, FRAME_PX, with_gap, RADIUS_PX, None, CONSTANTS, LOAD_MS)
+    whole = event_flow.label(between, slices, WINDOW, FRAME_PX, DOTS, TRACKING, CONSTANTS, LOAD_MS)
+    gap = event_flow.label(between, slices, WINDOW, FRAME_PX, with_gap, TRACKING, CONSTANTS, LOAD_MS)
     np.testing.assert_array_equal(whole.label, gap.label)
 
 
 @pytest.mark.parametrize("slices", [0, 1, 2, 60])
 def test_nothing_happens(slices: int) -> None:
     """Assert that recordings without events, however short, have no slip and no onset."""
-    result = event_flow.label(lambda first, last: empty(), slices, WINDOW, FRAME_PX, DOTS, RADIUS_PX, None, CONSTANTS)
+    result = event_flow.label(lambda first, last: empty(), slices, WINDOW, FRAME_PX, DOTS, TRACKING, CONSTANTS)
     assert result.onset == -1
     assert result.label.tolist() == [0] * slices
     assert np.isfinite(result.relative_flow_px).all()
