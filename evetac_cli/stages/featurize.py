@@ -31,7 +31,7 @@ from evetac_cli.store.recordings.onset import ABSTAINED, abstains
 from evetac_cli.store.recordings.read import Recording, open_recording
 
 OUTPUT = "features"
-METHOD = 6
+METHOD = 7
 COLUMNS = ("displacement_px", "displacement_xy_px", "events_per_dot", "events_outside")  # one row per slice
 
 
@@ -87,7 +87,7 @@ def run(job: Job, params: Featurize, *, force: bool = False, progress: Progress 
         slices = len(recording)
         arrays |= _gripper(recording)
         if params.sticking_share:
-            arrays["sticking_share"] = _sticking_share(tracks)
+            arrays |= _sticking(tracks)
         arrays["events_total"] = np.diff(recording.starts).astype(np.int32)
         arrays["dot_shape"] = np.array(rest_xy_px.shape[:2], np.int32)
         blocks = _blocks(recording, tracks, rest_xy_px.reshape(-1, 2), window, params, progress)
@@ -129,18 +129,22 @@ def _gripper(recording: Recording) -> dict[str, NDArray[np.float32]]:
     return columns
 
 
-def _sticking_share(tracks: StageFile) -> NDArray[np.float32]:
-    """Return the sticking share, (slices,), known at the start of each slice: from the dots after the previous one."""
+def _sticking(tracks: StageFile) -> dict[str, NDArray[np.float32]]:
+    """Return the sticking share and the probability that slip has begun, (slices,) each.
+
+    They are known at the start of each slice: from the dots after the previous one.
+    """
     from evetac_cli.stages.touch.touch_fold import StickingShare
 
     sticks = StickingShare(tracks.read("sensor/dot_xy_px").reshape(-1, 2), tracks.read("sensor/frame_px"))
     slices = tracks.length("dot_xy_px")
-    share = np.full(slices + 1, np.nan, np.float32)
+    share, begun = np.full((2, slices + 1), np.nan, np.float32)
     for first, stop in row_blocks(slices):
         dots = zip(tracks.read("dot_xy_px", first, stop), tracks.read("lost", first, stop), strict=True)
         for number, (dot_xy_px, lost) in enumerate(dots, first):
             share[number + 1] = sticks.step(dot_xy_px, lost)
-    return share[:-1]
+            begun[number + 1] = sticks.begun
+    return {"sticking_share": share[:-1], "slip_begun": begun[:-1]}
 
 
 def _true_slip_share(recording: Recording) -> NDArray[np.float32]:

@@ -40,11 +40,14 @@ def shipped_network() -> StickingNetwork:
 
 
 class StickingShare:
-    """The sticking share after the slices so far: `share`, NaN without contact or with too few known dots."""
+    """The sticking share after the slices so far, and the probability that slip has begun: `share` and `begun`.
+
+    Both are NaN without contact or with too few known dots.
+    """
 
     def __init__(self, rest_xy_px: NDArray[np.floating], frame_px: Sequence[int] | NDArray[np.integer]) -> None:
         """Start with the dots at rest, (dots, 2), NaN for missing ones, in a frame (width, height)."""
-        self.share = math.nan
+        self.share = self.begun = math.nan
         self._middle_px, self._scale = np.array(frame_px) / 2, expected_mm_per_px(frame_px)
         self._rest_mm: Floats = (np.asarray(rest_xy_px, np.float64) - self._middle_px) * self._scale
         noise = DotNoise(TRACKER_PX * self._scale, DRIFT_PX * self._scale)
@@ -66,6 +69,7 @@ class StickingShare:
         if self._slices % rest.BLOCK_MS == 0:  # the interval of the network
             self._touches = self._is_touched(dot_mm, gone)
         self.share = sticking.step(self._state, dot_mm, gone, self._touches).sticking_share
+        self.begun = math.nan if math.isnan(self.share) else self._state.has_begun
         return self.share
 
     def _is_touched(self, dot_mm: Floats, lost: Flags) -> bool:
