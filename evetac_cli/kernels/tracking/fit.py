@@ -19,6 +19,10 @@ scan, however far its brightness goes meanwhile, so fast motion makes fewer even
 px per slice. This and the sensor's contrast over threshold, if known, make the motion seen right by itself. The rims
 then correct it.
 
+Noise shows no motion: of the ring events of a dot and its neighbours within the last 30 ms, those that the camera's
+noise makes anyhow are left out, as a share of all. So dots at rest stay where they are, instead of walking away by a
+tenth of a px in a minute, while the slowest load still makes more events than noise.
+
 Events are spread evenly over the slice, so the rims are seen where they were half way through. With H = sum w n n^T,
 s = sum w beyond n and the motion seen f, the correction c to f solves H c = s - H f / 2.
 
@@ -69,6 +73,11 @@ LEAST_SHARE = 0.01  # with a smaller share of one polarity, the camera is taken 
 LIGHT_DOTS = 0.75  # the light changes, and nothing moves, if this share of the dots has events of one polarity,
 LIGHT_AHEAD = 0.6  # ... and it exceeds the other polarity by this share of all events
 LIGHT_SLICES = 50.0  # time constant, in slices, of the count of such slices
+# The rate of noise is the lowest share of dots that have any event in a slice, as a mean over NOISE_SLICES. It is known
+# after the first NOISE_KNOWN_SLICES, and forgotten in NOISE_KEPT_SLICES.
+NOISE_SLICES, NOISE_KNOWN_SLICES, NOISE_KEPT_SLICES = 1000.0, 100.0, 20_000.0
+MOST_NOISE = 0.1  # ring events of a dot and slice: a recording may begin with motion, which is not noise
+RATE_SLICES = 30.0  # time constant of a dot's rate
 LEAST_DAMPING = 1e-9  # of the matrix: with less, rounding would decide
 MOST_WEIGHT = 1e12  # of neighbours: beyond this, they move as one body to the last bit
 
@@ -182,6 +191,7 @@ def solve(
     moves = False
     for i in range(dots):
         moves |= ring_events[i] > state["min_events"]
+    _measure_rates(state, ring_events)
     if not moves:
         return False
     for i in range(dots):
@@ -193,10 +203,10 @@ def solve(
     state["light_slices"] += chance == CHANCE and _light_changes(dots, sums)
     damping = 0.5 / state["step_size"]
     of_motion = state["trust_px"], state["event_px"], state["unseen_per_px"]
-    constants = damping, state["regulariser_weight"], state["most_events"], chance, *of_motion
     system = np.empty((dots, SYSTEM))
     one_rim_px, too_far = state["one_rim_px"][:dots], state["too_far"][:dots]
     for i in range(dots):
+        constants = damping, state["regulariser_weight"], state["most_events"], chance, *of_motion, _not_noise(state, i)
         _set_up(i, sums, neighbour_count[i], constants, system, shift_px, one_rim_px, too_far)
     for _ in range(state["sweeps"]):
         for i in range(dots):
@@ -214,6 +224,33 @@ def solve(
         shift_px[i, 0] += correction_x
         shift_px[i, 1] += correction_y
     return True
+
+
+@njit(cache=True, error_model="numpy")
+def _measure_rates(state: np.void, ring_events: NDArray[np.int32]) -> None:
+    """Update the recent rate of every dot's ring events, and the rate of noise: the lowest of all dots so far."""
+    dots = state["dots"]
+    ring_rate = state["ring_rate"][:dots]
+    busy = 0.0
+    for i in range(dots):
+        ring_rate[i] += (ring_events[i] - ring_rate[i]) / RATE_SLICES
+        busy += ring_events[i] > 0
+    slices = state["slices"] + 1.0
+    state["busy_share"] += (busy / dots - state["busy_share"]) / min(slices, NOISE_SLICES)
+    if slices >= NOISE_KNOWN_SLICES:
+        lowest = state["noise_rate"] * (1.0 + 1.0 / NOISE_KEPT_SLICES) if state["noise_rate"] > 0.0 else MOST_NOISE
+        state["noise_rate"] = min(lowest, state["busy_share"], MOST_NOISE)
+
+
+@njit(cache=True, error_model="numpy")
+def _not_noise(state: np.void, i: int) -> float:
+    """Return the share of the recent ring events of dot i and its neighbours that are more than the camera's noise."""
+    rate = state["ring_rate"][i]
+    count = state["neighbour_count"][i]
+    for entry in range(count):
+        rate += state["ring_rate"][state["neighbours"][i, entry]]
+    share: float = max(1.0 - state["noise_rate"] * (count + 1) / max(rate, 1e-12), 0.0)
+    return share
 
 
 @njit(cache=True, error_model="numpy")
@@ -237,7 +274,7 @@ def _set_up(
     i: int,
     sums: NDArray[np.int64],
     neighbour_count: int,
-    constants: tuple[float, float, float, float, float, float, float],
+    constants: tuple[float, float, float, float, float, float, float, float],
     system: NDArray[np.float64],
     shift_px: NDArray[np.float64],
     one_rim_px: NDArray[np.float64],
@@ -247,7 +284,7 @@ def _set_up(
 
     Motion shown by one rim alone is added to one_rim_px; too_far is set if the rims show more than a slice may follow.
     """
-    damping, regulariser_weight, most_events, chance, trust_px, event_px, unseen_per_px = constants
+    damping, regulariser_weight, most_events, chance, trust_px, event_px, unseen_per_px, not_noise = constants
     xx = sums[i, 2] / UNITS
     xy = sums[i, 3] / UNITS
     total = (sums[i, DARKER] + sums[i, BRIGHTER]) / UNITS
@@ -260,10 +297,10 @@ def _set_up(
     shown_y = event_px * (both_y + alone_y)
     too_far[i] = shown_x * shown_x + shown_y * shown_y > 4.0 * trust_px * trust_px
     unseen = unseen_per_px * event_px * sqrt(both_x * both_x + both_y * both_y)
-    moved_px = event_px / max(1.0 - unseen, 1.0 - MOST_UNSEEN)
+    moved_px = not_noise * event_px / max(1.0 - unseen, 1.0 - MOST_UNSEEN)
     seen_x, seen_y = _limited(moved_px * both_x, moved_px * both_y, trust_px)
     of_one_polarity = max(abs(sums[i, DARKER] - sums[i, BRIGHTER]) / UNITS - by_chance, 0.0)
-    scale = min(1.0, most_events / max(total, 1e-12)) * (1.0 - of_one_polarity / max(total, 1e-12))
+    scale = min(1.0, most_events / max(total, 1e-12)) * (1.0 - of_one_polarity / max(total, 1e-12)) * not_noise
     damping += LEAST_DAMPING * (1.0 + scale * total)
     weight = MAX_NEIGHBOURS * min(regulariser_weight, MOST_WEIGHT) / max(neighbour_count, 1)
     a = scale * xx + damping + weight * neighbour_count

@@ -49,6 +49,9 @@ STATE = np.dtype(
         *((item.name, np.float64) for item in fields(TrackerConstants) if item.type is float),
         ("gathered", np.int64, (CAPACITY + 1, descent.SUMS)),  # sums of the slices since the last step, see descent.py
         ("light_slices", np.float64),  # recent slices with changing light, see fit.py
+        ("busy_share", np.float64),  # of dots with ring events in a slice, recent mean
+        ("noise_rate", np.float64),  # ring events of a dot and slice that are noise, 0 while unknown
+        ("ring_rate", np.float64, CAPACITY),  # recent ring events of a dot and slice
         ("polarity_weight", np.float64, 2),  # sum of the weights of ring events so far, darker and brighter
         ("centre_xy_px", np.float64, (CAPACITY + 1, 2)),  # see dot_xy_px; row n is the dummy dot (buckets.py)
         ("rest_xy_px", np.float64, (CAPACITY, 2)),  # centres at the start

@@ -440,3 +440,26 @@ def test_flickering_light_is_flagged_while_it_lasts() -> None:
     assert not flagged[:40].any()
     assert flagged[60:160].all()
     assert not flagged[-1].any()
+
+
+def noise(rng: np.random.Generator, rate: float = 30.0) -> Slice:
+    """Events anywhere in the frame, of either polarity."""
+    count = rng.poisson(rate)
+    x, y = rng.integers(0, 640, count), rng.integers(0, 480, count)
+    return x.astype(np.uint16), y.astype(np.uint16), rng.integers(0, 2, count).astype(np.uint8)
+
+
+def test_noise_does_not_move_dots() -> None:
+    """Assert that dots stay within 0.03 px in 20 s of noise, and then follow a motion of 1 px in a second."""
+    rng = np.random.default_rng(3)
+    state = tracker.start(grid(), STABLE)
+    for _ in range(20_000):
+        tracker.step(state, *noise(rng))
+    assert np.abs(state.dot_xy_px - grid()).max() < 0.1
+    assert np.sqrt(np.mean((state.dot_xy_px - grid()) ** 2)) < 0.03
+    before = state.dot_xy_px.copy()
+    step_px = np.array([1e-3, 0.0])
+    for k in range(1000):
+        parts = contact_edges(rng, grid() + k * step_px, step_px, 377.0), noise(rng)
+        tracker.step(state, *(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    assert np.abs((state.dot_xy_px - before).mean(axis=0) - [1.0, 0.0]).max() < 0.2
