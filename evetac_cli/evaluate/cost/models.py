@@ -32,7 +32,7 @@ from evetac_cli.evaluate.slip.measure import split_models
 from evetac_cli.evaluate.slip.models import Model
 from evetac_cli.evaluate.slip.tables import group_by_setting
 from evetac_cli.jobs import Progress, Row, Rows
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES, GEL_PX, OverImages
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, GEL_PX, MemoryArchitecture, OverImages, channels
 from evetac_cli.kernels.slip.detector import Detector, LiveDetector
 from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.store.files import StageFile
@@ -164,6 +164,8 @@ def _inference(candidate: Candidate, rng: np.random.Generator) -> Callable[[], A
     architecture = candidate.detector.architecture
     if isinstance(architecture, OverImages):
         shape: tuple[int, ...] = architecture.input_shape
+    elif isinstance(architecture, MemoryArchitecture):
+        shape = (channels(architecture),)
     else:
         shape = (candidate.dot_shape[0] * candidate.dot_shape[1], architecture.inputs_per_dot)
     batch = rng.random((1, *shape), np.float32)

@@ -144,7 +144,8 @@ class OnlineSlipDetector:
 
     def _tell(self) -> None:
         """Pass to the network what is known before the next slice."""
-        self.live.tell(*self._gripper_state, float("nan") if self.sticking is None else self.sticking.share)
+        sticking = () if self.sticking is None else (self.sticking.share, self.sticking.begun)
+        self.live.tell(*self._gripper_state, *sticking)
 
     @property
     def signal(self) -> SlipSignal:
