@@ -12,7 +12,13 @@ from typing import Any
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.kernels.grip.control import LAWS, MOST_FIXED_TICKS
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, weight_shapes
+from evetac_cli.kernels.slip.architectures import (
+    ARCHITECTURES,
+    LOAD_PATH,
+    DotArchitecture,
+    MemoryArchitecture,
+    weight_shapes,
+)
 from evetac_cli.kernels.slip.training import ADAPT, PRESETS
 from evetac_cli.kernels.tracking import presets
 from evetac_cli.kernels.tracking.presets import TrackerConstants
@@ -181,6 +187,9 @@ def _models() -> str:
             if architecture.extras:
                 extra = ", ".join(view.extra for view in architecture.extras)
                 facts.append(("of these, not from dots", f"{sum(view.width for view in architecture.extras)}: {extra}"))
+        elif isinstance(architecture, MemoryArchitecture):
+            facts[1] = ("history", "the contact so far")
+            facts.append(("inputs per step", str(len(LOAD_PATH))))
         else:
             facts.append(("input", f"{' x '.join(map(str, architecture.input_shape))} (slices, height, width)"))
         facts.append(("weights", f"{weights:,}"))

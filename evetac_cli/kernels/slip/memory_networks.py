@@ -76,7 +76,8 @@ def predict_step(numbers: Singles, networks: MemoryNetworks, memory: Singles) ->
         _add_product(state, networks.last[network, :hidden], output)
         _add_product(layer, networks.last[network, hidden:], output)
         logit += output[0]
-    return _sigmoid(logit / np.float32(memory.shape[0]))
+    probability: float = _sigmoid(logit / np.float32(memory.shape[0]))
+    return probability
 
 
 @njit(cache=True)
