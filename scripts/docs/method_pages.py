@@ -82,8 +82,10 @@ MODELS = {
     "disp-xy": "Displacement vectors, their changes, and event counts over 50 ms.",
     "disp-xy-grip": "The inputs of `disp-xy` and, if available, changes of the gripper's position and command and the"
     " share of the contact that sticks. The pretrained detector has this architecture.",
+    "load-path": "Numbers of the contact every 5 ms, from dots, events, the network of the sticking share and the"
+    " gripper, with a memory from the first touch on. It is trained by its own recipe, not by a preset.",
 }
-OWN_MODELS = ("no-hist-img-6x6", "hist10-img-6x6", "disp-xy", "disp-xy-grip")
+OWN_MODELS = ("no-hist-img-6x6", "hist10-img-6x6", "disp-xy", "disp-xy-grip", "load-path")
 FORCE_MODELS = {
     "paper": "Shear force by a linear regression and by the paper's network, for the dot grid of one sensor.",
     "touch": "evetac's model: shear modulus, creep, offset and normal-force factor of one sensor. Touch maps use these"

@@ -273,7 +273,9 @@ class Detector:
         return int(self._session.get_inputs()[0].shape[1] if self.networks is None else self.networks.sizes[:2].prod())
 
     def over(self, series: inputs.Series, first: int = 0) -> NDArray[np.float32]:
-        """Return the slip probability of every slice of a trajectory, NaN until the history is full.
+        """Return the slip probability of every slice of a trajectory.
+
+        NaN until the history is full; with memory, while nothing touches.
 
         `first`: slice of the trajectory at which the series begins. It matters for a detector that predicts every 5th
         slice, counted from the beginning of the trajectory.
@@ -436,7 +438,9 @@ class LiveDetector:
         p: NDArray[np.uint8],
         t_us: NDArray[np.int64] | None = None,
     ) -> float:
-        """Return the slip probability after the events of the next slice; NaN until the history is full.
+        """Return the slip probability after the events of the next slice.
+
+        NaN until the history is full; with memory, while nothing touches.
 
         t_us: times of the events, from the start of any slice; only networks with `needs_times` use them. Accepts the
         same columns as `tracker.step`.

@@ -3,8 +3,8 @@
 A contact is a run of steps that touch, since the memory is empty without contact. 32 contacts are learned from at a
 time, 80 steps of each per step of the optimiser. The learning rate rises to the preset's and falls to 0.
 
-The question is whether a slice within the horizon slips: if known, whether at least 0.3 of the contact does, which is
-the point of no return more often than not; otherwise whether its label is slip.
+The question is whether a slice within the horizon slips: if known, whether at least 0.3 of the contact does; otherwise
+whether its label is slip.
 """
 
 import math
@@ -116,7 +116,7 @@ def train(
 ) -> SlipTraining:
     """Train one network; the arguments are those of `training.train`.
 
-    A run takes a minute, so an interrupted one starts anew: the state of the result tells its end alone. The gripper is
+    A run is short, so an interrupted one starts anew: the state of the result tells its end alone. The gripper is
     unknown in a share of the contacts, so one model also works without. ValueError if the loss becomes infinite or NaN.
     """
     epochs = preset.epochs if epochs is None else epochs
