@@ -15,6 +15,7 @@ are timed once, so that no setting wins by clock noise.
 import json
 from collections.abc import Callable, Iterator, Sequence
 from itertools import cycle
+from math import nan
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -182,6 +183,7 @@ def _grasp_step(candidate: Candidate, rng: np.random.Generator) -> Callable[[], 
     rest = whole[:rows, :columns].reshape(-1, 2)
     window = None if columns == whole.shape[1] else (GEL_PX[0], 0, 640, 480)
     live = LiveDetector(candidate.detector, tracker.start(rest, TRACKER), window)
+    live.tell(nan, nan, 0.5, 0.5)  # contact, which a network with memory waits for
     right_px = float(rest[:, 0].max()) + 20.0
     slices = cycle([_rims(rng, right_px) for _ in range(DISTINCT)])
 
