@@ -106,8 +106,7 @@ def _read_load_path(
         message, hint = f"{architecture.name} needs the sticking share", "evetac featurize --sticking-share"
         raise InputError(message, where=str(file.path), hint=hint)
     rows, columns = file.read("dot_shape").tolist()
-    frame_px = file.header["parameters"].get("frame_px", FRAME_PX)
-    state = load_path.start((rows, columns), file.sensitivity, frame_px)
+    state = load_path.start((rows, columns), file.sensitivity, _frame_px(file))
     parts = []
     for first, last in row_blocks(file.length("sticking_share") if stop is None else stop):
         told = np.full((last - first, len(TOLD_COLUMNS)), np.nan, np.float32)
@@ -117,6 +116,14 @@ def _read_load_path(
         moved_px, events = (file.read(name, first, last) for name in ("displacement_xy_px", "events_per_dot"))
         parts.append(load_path.over(state, moved_px, events, told))
     return load_path.joined(parts)
+
+
+def _frame_px(file: StageFile) -> list[int]:
+    """Return the frame of features with the sticking share, (width, height); InputError for an impossible one."""
+    found = file.header["parameters"].get("frame_px", [*FRAME_PX])
+    if not (isinstance(found, list) and len(found) == 2 and all(isinstance(side, int) and side > 0 for side in found)):
+        raise InputError("not a frame", where=f"{file.path}: frame_px", expected="width and height", found=str(found))
+    return found
 
 
 def predict(detectors: Sequence[Detector], trajectory: Trajectory, header: Header, horizon_ms: int) -> list[Prediction]:
