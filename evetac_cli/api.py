@@ -254,7 +254,10 @@ class SlipDetector:
         return self._detector.slip
 
     def step(self, events: Events) -> float:
-        """Process one slice and return the slip probability, NaN until the history of the network is full."""
+        """Process one slice and return the slip probability.
+
+        It is NaN until the history of the network is full; with a network that has memory, while nothing touches.
+        """
         return self._detector.step(events)
 
     def tell_gripper(self, position_ticks: float, goal_ticks: float) -> None:

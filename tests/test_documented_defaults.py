@@ -76,7 +76,9 @@ DOCUMENTED: dict[tuple[str, str], Callable[[], str]] = {
     ("train", "model"): lambda: f"{train.USUAL.model}, or that of --adapt",
     ("train", "horizon_ms"): lambda: f"{train.USUAL.horizon_ms}, or that of --adapt",
     ("train", "preset"): lambda: f"{train.USUAL.preset}; with --adapt, always adamw with small steps",
-    ("train", "max_steps"): lambda: f"{train.USUAL.max_steps}, or {train.ADAPT_STEPS} with --adapt",
+    ("train", "max_steps"): lambda: (
+        f"{train.USUAL.max_steps}, {train.USUAL_MEMORY.max_steps} for load-path, or {train.ADAPT_STEPS} with --adapt"
+    ),
     ("train", "false_alarms_per_min"): lambda: (
         f"{FALSE_ALARMS_PER_MIN:g}; with preset paper, or with less than {LEAST_MINUTES:g}"
         " minutes to count in, the paper's rule"

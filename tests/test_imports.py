@@ -65,6 +65,7 @@ ONLY_IN = {
     "torch": (
         "kernels/slip/networks.py",
         "kernels/slip/training.py",
+        "kernels/slip/memory_training.py",
         "kernels/force/training.py",
         "stages/train/networks.py",
         "testing.py",

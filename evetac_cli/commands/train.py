@@ -21,6 +21,7 @@ class Train:
         "Architecture, named as in the paper's table. -6x6: event images summed over 6 x 6 px, fast enough for a CPU."
         " disp-xy: evetac's own, with directions and changes of the dots' displacements as inputs. disp-xy-grip:"
         " disp-xy plus, if available, the gripper's position and command and the sticking share of the contact."
+        " load-path: evetac's own with memory of the whole contact; it needs featurize --sticking-share."
         " Default: hist10, or that of --adapt.",
         choices=names.NETWORKS,
         plugins=plugins.NETWORKS,
@@ -37,7 +38,7 @@ class Train:
         "Training recipe. paper: SGD at 0.001 on plain features. adam: Adam at 0.001 on normalised features. adamw:"
         " AdamW from 0.002 down to 0 on normalised features, with samples scaled up and down and weights averaged over"
         " training. With adam and adamw, probabilities are calibrated on the validation files, to match how often slip"
-        " occurs. Default: paper; with --adapt, always adamw with small steps.",
+        " occurs. Default: paper; with --adapt, always adamw with small steps. load-path has its own recipe.",
         choices=("paper", "adam", "adamw"),
     )
     learn_true_slip_share: bool = parameter(
@@ -55,7 +56,7 @@ class Train:
     )
     max_steps: int | None = parameter(
         None,
-        "Stop after this many steps, with a note; default: 40000, or 1000 with --adapt.",
+        "Stop after this many steps, with a note; default: 40000, 600 for load-path, or 1000 with --adapt.",
         unit="steps",
         low=1,
         panel=EXPERTS,

@@ -7,7 +7,7 @@ from typing import Any
 from evetac_cli import names, plugins, resources
 from evetac_cli.console import print_table, print_text
 from evetac_cli.jobs import LookCall, Outcome, Row, Rows
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, MemoryArchitecture, OverImages
 from evetac_cli.sim.setup import sensor_file
 from evetac_cli.text_files import read_toml
 
@@ -74,7 +74,9 @@ def _sensors() -> Rows:
 
 def _networks() -> Rows:
     def about(architecture: Any) -> str:
-        what = "dots" if isinstance(architecture, DotArchitecture) else "images"
+        what = "images" if isinstance(architecture, OverImages) else "dots"
+        if isinstance(architecture, MemoryArchitecture):
+            return f"{what}, the whole contact, every {architecture.every} ms"
         return f"{what}, {architecture.history} ms, every {architecture.every} ms"
 
     rows = [{"name": name, "about": about(architecture)} for name, architecture in ARCHITECTURES.items()]

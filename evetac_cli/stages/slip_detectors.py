@@ -8,11 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.errors import InputError
-from evetac_cli.kernels.slip import features, inputs, onnx_graphs, sampling
-from evetac_cli.kernels.slip.architectures import Architecture, ImageArchitecture, PluginImageArchitecture
+from evetac_cli.events import FRAME_PX
+from evetac_cli.kernels.slip import features, inputs, load_path, onnx_graphs, sampling
+from evetac_cli.kernels.slip.architectures import (
+    Architecture,
+    ImageArchitecture,
+    MemoryArchitecture,
+    PluginImageArchitecture,
+)
 from evetac_cli.kernels.slip.detector import Detector, over_each
 from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.metrics import Prediction, shift_labels
+from evetac_cli.stages import row_blocks
 from evetac_cli.stages.model_files import TRUE_SLIP_SHARE, read_weights
 from evetac_cli.stages.related_files import object_name
 from evetac_cli.store.files import StageFile
@@ -21,6 +28,7 @@ from evetac_cli.store.layout.rules import named_architecture
 from evetac_cli.store.recordings.onset import abstains
 
 EXTRA_COLUMNS = ("gripper_position_ticks", "gripper_goal_ticks", "gripper_goal_ma", "sticking_share")
+TOLD_COLUMNS = (*EXTRA_COLUMNS, "slip_begun")  # in the order of load_path.TOLD
 
 
 def read_trajectory(path: Path, architecture: Architecture, *, true_slip_share: bool = False) -> Trajectory:
@@ -72,6 +80,8 @@ def read_series(file: StageFile, architecture: Architecture, start: int = 0, sto
         columns = features.GelEvents._fields[1:]
         of_events = (file.read(f"gel_events/{name}", int(begin[0]), int(begin[-1])) for name in columns)
         return features.GelEvents(begin - begin[0], *of_events)
+    if isinstance(architecture, MemoryArchitecture):
+        return _read_load_path(file, architecture, start, stop)
     displacement_xy_px = None
     if architecture.sees_direction:
         displacement_xy_px = file.read("displacement_xy_px", start, stop)
@@ -85,6 +95,35 @@ def read_series(file: StageFile, architecture: Architecture, start: int = 0, sto
         return dots
     extra_columns = [file.read(name, start, stop) if file.has(name) else None for name in EXTRA_COLUMNS]
     return inputs.DotsAndExtras(dots, inputs.extra_columns(len(dots), *extra_columns))
+
+
+def _read_load_path(
+    file: StageFile, architecture: MemoryArchitecture, start: int, stop: int | None
+) -> load_path.LoadPath:
+    """Return the numbers of a detector with memory up to a slice; InputError without the sticking share."""
+    assert start == 0
+    if not (file.has("sticking_share") and file.has("slip_begun")):
+        message, hint = f"{architecture.name} needs the sticking share", "evetac featurize --sticking-share"
+        raise InputError(message, where=str(file.path), hint=hint)
+    rows, columns = file.read("dot_shape").tolist()
+    state = load_path.start((rows, columns), file.sensitivity, _frame_px(file))
+    parts = []
+    for first, last in row_blocks(file.length("sticking_share") if stop is None else stop):
+        told = np.full((last - first, len(TOLD_COLUMNS)), np.nan, np.float32)
+        for place, name in enumerate(TOLD_COLUMNS):
+            if file.has(name):
+                told[:, place] = file.read(name, first, last)
+        moved_px, events = (file.read(name, first, last) for name in ("displacement_xy_px", "events_per_dot"))
+        parts.append(load_path.over(state, moved_px, events, told))
+    return load_path.joined(parts)
+
+
+def _frame_px(file: StageFile) -> list[int]:
+    """Return the frame of features with the sticking share, (width, height); InputError for an impossible one."""
+    found = file.header["parameters"].get("frame_px", [*FRAME_PX])
+    if not (isinstance(found, list) and len(found) == 2 and all(isinstance(side, int) and side > 0 for side in found)):
+        raise InputError("not a frame", where=f"{file.path}: frame_px", expected="width and height", found=str(found))
+    return found
 
 
 def predict(detectors: Sequence[Detector], trajectory: Trajectory, header: Header, horizon_ms: int) -> list[Prediction]:
@@ -110,7 +149,12 @@ def first_labelled(label: NDArray[np.int8]) -> int:
 
 
 def first_needed(architecture: Architecture, first: int) -> int:
-    """Return the first slice whose inputs a detector needs for the probability in slice `first` and later ones."""
+    """Return the first slice whose inputs a detector needs for the probability in slice `first` and later ones.
+
+    One with memory needs all from the start.
+    """
+    if isinstance(architecture, MemoryArchitecture):
+        return 0
     return max(0, first - architecture.history - architecture.every + 2)
 
 
@@ -127,7 +171,7 @@ def load_detector(model: StageFile) -> Detector:
     """Return the detector in a model file; InputError as for `check_graph`."""
     graph = check_graph(model)
     try:
-        return Detector(graph, named_architecture(model.read("architecture")))
+        return Detector(graph, *_of_model(model))
     except ValueError as error:
         raise InputError(f"onnx: {error}", where=str(model.path), hint="train it again") from error
 

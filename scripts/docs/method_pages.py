@@ -12,7 +12,13 @@ from typing import Any
 from evetac_cli.commands.label import Label
 from evetac_cli.commands.train_force import TrainForce
 from evetac_cli.kernels.grip.control import LAWS, MOST_FIXED_TICKS
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, weight_shapes
+from evetac_cli.kernels.slip.architectures import (
+    ARCHITECTURES,
+    LOAD_PATH,
+    DotArchitecture,
+    MemoryArchitecture,
+    weight_shapes,
+)
 from evetac_cli.kernels.slip.training import ADAPT, PRESETS
 from evetac_cli.kernels.tracking import presets
 from evetac_cli.kernels.tracking.presets import TrackerConstants
@@ -76,8 +82,10 @@ MODELS = {
     "disp-xy": "Displacement vectors, their changes, and event counts over 50 ms.",
     "disp-xy-grip": "The inputs of `disp-xy` and, if available, changes of the gripper's position and command and the"
     " share of the contact that sticks. The pretrained detector has this architecture.",
+    "load-path": "Numbers of the contact every 5 ms, from dots, events, the network of the sticking share and the"
+    " gripper, with a memory from the first touch on. It is trained by its own recipe, not by a preset.",
 }
-OWN_MODELS = ("no-hist-img-6x6", "hist10-img-6x6", "disp-xy", "disp-xy-grip")
+OWN_MODELS = ("no-hist-img-6x6", "hist10-img-6x6", "disp-xy", "disp-xy-grip", "load-path")
 FORCE_MODELS = {
     "paper": "Shear force by a linear regression and by the paper's network, for the dot grid of one sensor.",
     "touch": "evetac's model: shear modulus, creep, offset and normal-force factor of one sensor. Touch maps use these"
@@ -181,6 +189,9 @@ def _models() -> str:
             if architecture.extras:
                 extra = ", ".join(view.extra for view in architecture.extras)
                 facts.append(("of these, not from dots", f"{sum(view.width for view in architecture.extras)}: {extra}"))
+        elif isinstance(architecture, MemoryArchitecture):
+            facts[1] = ("history", "the contact so far")
+            facts.append(("inputs per step", str(len(LOAD_PATH))))
         else:
             facts.append(("input", f"{' x '.join(map(str, architecture.input_shape))} (slices, height, width)"))
         facts.append(("weights", f"{weights:,}"))

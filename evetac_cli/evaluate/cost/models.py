@@ -15,6 +15,7 @@ are timed once, so that no setting wins by clock noise.
 import json
 from collections.abc import Callable, Iterator, Sequence
 from itertools import cycle
+from math import nan
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,7 +33,7 @@ from evetac_cli.evaluate.slip.measure import split_models
 from evetac_cli.evaluate.slip.models import Model
 from evetac_cli.evaluate.slip.tables import group_by_setting
 from evetac_cli.jobs import Progress, Row, Rows
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES, GEL_PX, OverImages
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, GEL_PX, MemoryArchitecture, OverImages, channels
 from evetac_cli.kernels.slip.detector import Detector, LiveDetector
 from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.store.files import StageFile
@@ -164,6 +165,8 @@ def _inference(candidate: Candidate, rng: np.random.Generator) -> Callable[[], A
     architecture = candidate.detector.architecture
     if isinstance(architecture, OverImages):
         shape: tuple[int, ...] = architecture.input_shape
+    elif isinstance(architecture, MemoryArchitecture):
+        shape = (channels(architecture),)
     else:
         shape = (candidate.dot_shape[0] * candidate.dot_shape[1], architecture.inputs_per_dot)
     batch = rng.random((1, *shape), np.float32)
@@ -180,6 +183,7 @@ def _grasp_step(candidate: Candidate, rng: np.random.Generator) -> Callable[[], 
     rest = whole[:rows, :columns].reshape(-1, 2)
     window = None if columns == whole.shape[1] else (GEL_PX[0], 0, 640, 480)
     live = LiveDetector(candidate.detector, tracker.start(rest, TRACKER), window)
+    live.tell(nan, nan, 0.5, 0.5)  # contact, which a network with memory waits for
     right_px = float(rest[:, 0].max()) + 20.0
     slices = cycle([_rims(rng, right_px) for _ in range(DISTINCT)])
 

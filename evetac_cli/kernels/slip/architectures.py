@@ -118,6 +118,17 @@ class Factors(NamedTuple):
     events: float = 1.0
 
 
+def to_one_sensor(sensor: Sensitivity) -> Factors:
+    """Return the factors that scale the features of a sensor to those of `evetac`, as far as its properties are known.
+
+    A gel of half the modulus moves twice as far under the same force, and a camera of half the threshold makes twice
+    the events for the same motion.
+    """
+    stiffer = 1.0 if sensor.shear_modulus_pa is None else sensor.shear_modulus_pa / SHEAR_MODULUS_PA
+    ratio = sensor.contrast_over_threshold
+    return Factors(stiffer, stiffer if ratio is None else stiffer * EVENTS_A_RIM / ratio)
+
+
 @dataclass(frozen=True)
 class DotArchitecture:
     """A network that encodes each dot, then looks at their grid: a row of the paper's table, or one of evetac's own."""
@@ -128,9 +139,7 @@ class DotArchitecture:
     fc2: int
     every: int = 1  # slices from one prediction to the next; it is held in between
 
-    # Whether displacements and events are scaled to one sensor, as far as the sensor's own properties are known. A gel
-    # of half the modulus moves twice as far under the same force, and a camera of half the threshold makes twice the
-    # events for the same motion. The paper's models use unscaled features.
+    # Whether displacements and events are scaled by `to_one_sensor`. The paper's models use unscaled features.
     like_one_sensor: bool = False
     extras: tuple[ExtraView, ...] = ()  # passed to every dot, after its own inputs; any of them may be unknown
 
@@ -185,11 +194,7 @@ class DotArchitecture:
 
     def factors(self, sensor: Sensitivity) -> Factors:
         """Return the factors on the features of a sensor."""
-        if not self.like_one_sensor:
-            return Factors()
-        stiffer = 1.0 if sensor.shear_modulus_pa is None else sensor.shear_modulus_pa / SHEAR_MODULUS_PA
-        ratio = sensor.contrast_over_threshold
-        return Factors(stiffer, stiffer if ratio is None else stiffer * EVENTS_A_RIM / ratio)
+        return to_one_sensor(sensor) if self.like_one_sensor else Factors()
 
 
 @dataclass(frozen=True)
@@ -210,6 +215,29 @@ class ImageArchitecture:
     def input_shape(self) -> tuple[int, int, int]:
         """(history, height, width) of one input."""
         return self.history, GEL_PX[1] // self.pool_px, GEL_PX[0] // self.pool_px
+
+
+# What a network with memory sees every 5 slices, in the order of its inputs (load_path.py).
+LOAD_PATH = (
+    *("size", "shear", "of_most_shear", "bent", "bends_20_ms", "shears_20_ms", "shears_200_ms"),
+    *("moves_10_ms", "moves_30_ms", "moves_120_ms", "events", "stiffness", "slip_share_odds", "slip_begun_odds"),
+    *("gripper_known", "closes_10_ms", "closes_30_ms", "closes_100_ms", "goal_ahead", "current_rises_20_ms"),
+)
+OF_GRIPPER = slice(LOAD_PATH.index("gripper_known"), len(LOAD_PATH))
+
+
+@dataclass(frozen=True)
+class MemoryArchitecture:
+    """A network with memory of a contact: a layer over LOAD_PATH, a gated recurrent unit, and an output over both.
+
+    hidden: width of the layer and of the memory. It predicts after every 5th slice (`every`), from the whole contact up
+    to then, and needs no history besides its memory.
+    """
+
+    name: str
+    hidden: int = 32
+    every: ClassVar[int] = 5
+    history: ClassVar[int] = 1
 
 
 class PluginLayers:
@@ -292,12 +320,14 @@ class PluginImageArchitecture(PluginLayers):
 
 OverImages = ImageArchitecture | PluginImageArchitecture
 PluginNetwork = PluginArchitecture | PluginImageArchitecture
-Architecture = DotArchitecture | OverImages
+Architecture = DotArchitecture | MemoryArchitecture | OverImages
 Weights = NDArray[np.float32]
 
 
 def channels(architecture: Architecture) -> int:
-    """Return the number of channels that are normalised separately: inputs of a dot, or channels of all images."""
+    """Return the number of channels that are normalised separately: inputs of a dot or step, or channels of images."""
+    if isinstance(architecture, MemoryArchitecture):
+        return len(LOAD_PATH)
     if isinstance(architecture, DotArchitecture):
         return architecture.inputs_per_dot
     return architecture.input_shape[0]
@@ -330,9 +360,10 @@ def parted(weights: Mapping[str, Weights]) -> list[dict[str, Weights]]:
 def weight_shapes(
     architecture: Architecture, rows: int, columns: int, networks: Sequence[str] = ("",)
 ) -> dict[str, tuple[int, ...]]:
-    """Return the shape of every array of a detector's weights by its name; the grid of dots does not matter for images.
+    """Return the shape of every array of a detector's weights by its name.
 
-    networks: prefixes of the weights' names, as from `prefixes`.
+    The grid of dots matters only for a DotArchitecture and for plug-ins. networks: prefixes of the weights' names, as
+    from `prefixes`.
     """
     layers: dict[str, tuple[int, ...]]
     wide = channels(architecture)
@@ -343,6 +374,11 @@ def weight_shapes(
             for index, (before, after) in enumerate(zip(entering, IMAGE_CONVS, strict=False))
         }
         layers |= {"fc1": (IMAGE_FC, IMAGE_CONVS[-1]), "fc2": (1, IMAGE_FC)}
+    elif isinstance(architecture, MemoryArchitecture):
+        hidden = architecture.hidden
+        # of the gates of the memory: update, reset and new content, one below the other, as in ONNX
+        gates = {"entering": (3 * hidden, hidden), "recurring": (3 * hidden, hidden)}
+        layers = {"first": (hidden, wide), **gates, "last": (1, 2 * hidden)}
     elif isinstance(architecture, PluginLayers):
         layers = architecture.layers(rows, columns)
     else:
@@ -375,6 +411,8 @@ def last_layer(architecture: Architecture, rows: int, columns: int) -> str:
     """Return the name of the layer that computes the logit, for this grid of dots; for plug-ins this imports torch."""
     if isinstance(architecture, PluginLayers):
         return list(architecture.modules(rows, columns))[-1]
+    if isinstance(architecture, MemoryArchitecture):
+        return "last"
     return "fc2" if isinstance(architecture, ImageArchitecture) else "fc5"
 
 
@@ -433,5 +471,7 @@ ARCHITECTURES: dict[str, Architecture] = {
                 ExtraView("sticking", newest=True, changes_ms=(10, 50)),
             ),
         ),
+        # Whether a contact is near its limit depends on how it was loaded so far, longer ago than any history above.
+        MemoryArchitecture("load-path"),
     )
 }

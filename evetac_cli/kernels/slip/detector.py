@@ -1,6 +1,7 @@
 """Run a trained slip detector: slice by slice while grasping, or over a whole trajectory.
 
-Networks over dots run compiled; networks over images, and those of plug-ins, run in onnxruntime.
+Networks over dots run compiled; networks over images, and those of plug-ins, run in onnxruntime. A network with memory
+(memory_networks.py) needs a trajectory from its start.
 
 Online, a slice of events becomes a probability in one compiled call. The reason: each call into compiled code costs
 about 1 us, and the Python code between two calls as much, while the whole takes 20 us.
@@ -28,7 +29,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import Events
 from evetac_cli.kernels.compiled import njit
-from evetac_cli.kernels.slip import features, inputs, onnx_graphs
+from evetac_cli.kernels.slip import features, inputs, load_path, memory_networks, onnx_graphs
 from evetac_cli.kernels.slip.architectures import (
     CONV1,
     CONV2,
@@ -36,9 +37,12 @@ from evetac_cli.kernels.slip.architectures import (
     FC3,
     FC4,
     GEL_PX,
+    LOAD_PATH,
+    OF_GRIPPER,
     UNKNOWN_SENSITIVITY,
     Architecture,
     DotArchitecture,
+    MemoryArchitecture,
     OverImages,
     PluginArchitecture,
     PluginImageArchitecture,
@@ -46,6 +50,8 @@ from evetac_cli.kernels.slip.architectures import (
     parted,
 )
 from evetac_cli.kernels.slip.features import EventImages, GelEvents
+from evetac_cli.kernels.slip.load_path import LoadPath
+from evetac_cli.kernels.slip.memory_networks import MemoryNetworks
 from evetac_cli.kernels.tracking import tracker
 
 _NAMES = ("fc1", "fc2", "conv1", "conv2", "fc3", "fc4", "fc5")  # layers in packing order
@@ -205,11 +211,17 @@ BATCH_VALUES = 1 << 22  # inputs processed at a time: 16 MiB
 class Detector:
     """A trained detector, from the ONNX graph of its model file."""
 
-    def __init__(self, graph: bytes, architecture: Architecture) -> None:
-        """Load the graph; ValueError for invalid bytes, and for dots unless `onnx_graphs.build` wrote the graph."""
-        self.architecture = architecture
+    def __init__(self, graph: bytes, architecture: Architecture, dot_shape: tuple[int, int] = (7, 8)) -> None:
+        """Load the graph; ValueError for invalid bytes, and for dots unless `onnx_graphs.build` wrote the graph.
+
+        dot_shape: rows and columns of dots, which the graph of a network with memory does not have.
+        """
+        self.architecture, self.dot_shape = architecture, dot_shape
         self.networks: DotNetworks | None = None  # for networks over dots
-        if isinstance(architecture, DotArchitecture) and not isinstance(architecture, PluginArchitecture):
+        self.memory_networks: MemoryNetworks | None = None  # for networks with memory
+        if isinstance(architecture, MemoryArchitecture):
+            self.memory_networks = memory_networks.pack(onnx_graphs.read_memory(graph, architecture))
+        elif isinstance(architecture, DotArchitecture) and not isinstance(architecture, PluginArchitecture):
             self.networks = pack_networks(architecture, *onnx_graphs.read(graph, architecture))
         else:
             self._session = _session(graph)
@@ -218,6 +230,8 @@ class Detector:
     def learned_extras(self) -> tuple[str, ...]:
         """The extras, of EXTRAS, that the network has learned to use; for a plug-in's network, all of its extras."""
         architecture = self.architecture
+        if self.memory_networks is not None:  # the sticking share also tells it of the contact
+            return EXTRAS if self.memory_networks.scale[:, OF_GRIPPER].any() else ("sticking",)
         if not isinstance(architecture, DotArchitecture):
             return ()
         if self.networks is None:
@@ -226,7 +240,14 @@ class Detector:
         return inputs.learned_extras(architecture, self.networks.weights[:, wide : 2 * wide].max(axis=0))
 
     def probability(self, batch: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the slip probability (k,) of inputs (k, ...) from `inputs.at`; ValueError for another shape."""
+        """Return the slip probability (k,) of inputs (k, ...) from `inputs.at`; ValueError for another shape.
+
+        With memory, the inputs are the numbers (steps, LOAD_PATH) of one contact from its start.
+        """
+        if self.memory_networks is not None:
+            if batch.shape[1:] != (len(LOAD_PATH),) or batch.dtype != np.float32:
+                raise ValueError(f"expected float32 (steps, {len(LOAD_PATH)}), found {batch.dtype} {batch.shape}")
+            return self._over_steps(LoadPath(batch, np.ones(len(batch), np.bool_), len(batch) * load_path.EVERY))
         if self.networks is not None:
             rows, columns, wide = self.networks.sizes[:3].tolist()
             if batch.shape[1:] != (rows * columns, wide) or batch.dtype != np.float32:
@@ -247,25 +268,50 @@ class Detector:
     @property
     def dots(self) -> int:
         """The number of dots that a network over dots is for."""
+        if self.memory_networks is not None:
+            return self.dot_shape[0] * self.dot_shape[1]
         return int(self._session.get_inputs()[0].shape[1] if self.networks is None else self.networks.sizes[:2].prod())
 
     def over(self, series: inputs.Series, first: int = 0) -> NDArray[np.float32]:
-        """Return the slip probability of every slice of a trajectory, NaN until the history is full.
+        """Return the slip probability of every slice of a trajectory.
+
+        NaN until the history is full; with memory, while nothing touches.
 
         `first`: slice of the trajectory at which the series begins. It matters for a detector that predicts every 5th
         slice, counted from the beginning of the trajectory.
         """
         return over_each([self], series, first)[0]
 
+    def _over_steps(self, path: LoadPath) -> NDArray[np.float32]:
+        """Return the slip probability after each step, (steps,)."""
+        assert self.memory_networks is not None
+        probability = np.empty(len(path.numbers), np.float32)
+        numbers = np.ascontiguousarray(path.numbers)
+        memory_networks.predict_steps(
+            numbers, path.touches, self.memory_networks, self.memory_networks.memory, probability
+        )
+        return probability
+
+    def _over_path(self, path: LoadPath) -> NDArray[np.float32]:
+        """Return the slip probability of every slice, held from one step to the next."""
+        every = np.full(path.slices, np.nan, np.float32)
+        held = np.repeat(self._over_steps(path), load_path.EVERY)[: path.slices - (load_path.EVERY - 1)]
+        every[load_path.EVERY - 1 : load_path.EVERY - 1 + len(held)] = held
+        return every
+
 
 def over_each(detectors: Sequence[Detector], series: inputs.Series, first: int = 0) -> list[NDArray[np.float32]]:
     """Return `Detector.over` for several detectors of one architecture, whose inputs are computed only once.
 
-    ValueError if their architectures differ.
+    ValueError if their architectures differ, or if a detector with memory gets a part without the start.
     """
     architecture = detectors[0].architecture
     if any(detector.architecture != architecture for detector in detectors):
         raise ValueError("expected detectors of one architecture, found several")
+    if isinstance(architecture, MemoryArchitecture):
+        if first or not isinstance(series, LoadPath):
+            raise ValueError(f"expected a trajectory from its start, found one from slice {first}")
+        return [detector._over_path(series) for detector in detectors]
     slices = inputs.length(series)
     every = [np.full(slices, np.nan, np.float32) for _ in detectors]
     delay = -first % architecture.every  # slices after a full history until the next prediction is due
@@ -289,6 +335,7 @@ def _input_size(architecture: Architecture, series: inputs.Series) -> int:
         return int(np.prod(architecture.input_shape))
     if isinstance(series, inputs.OfEvents):
         return 1
+    assert isinstance(architecture, DotArchitecture) and not isinstance(series, LoadPath)
     return int(inputs.dots_of(series).shape[1]) * architecture.inputs_per_dot
 
 
@@ -330,10 +377,13 @@ class LiveDetector:
         self._probability = float("nan")
         architecture, networks = detector.architecture, detector.networks
         self._extras = np.full(len(EXTRAS), np.nan)  # extras of the next slice
-        if isinstance(architecture, DotArchitecture):
-            seen = np.arange(len(tracking.rest_xy_px)) if seen_dots is None else np.flatnonzero(seen_dots)
-            if len(seen) != detector.dots:
-                raise ValueError(f"expected {detector.dots} dots for the network, found {len(seen)}")
+        self._path: load_path.LoadPathState | None = None  # of a network with memory
+        seen = np.arange(len(tracking.rest_xy_px)) if seen_dots is None else np.flatnonzero(seen_dots)
+        if isinstance(architecture, DotArchitecture | MemoryArchitecture) and len(seen) != detector.dots:
+            raise ValueError(f"expected {detector.dots} dots for the network, found {len(seen)}")
+        if detector.memory_networks is not None:
+            self._start_path(detector.memory_networks, seen, sensor)
+        elif isinstance(architecture, DotArchitecture):
             dots = features.start(tracking.rest_xy_px[seen], architecture.history, architecture.factors(sensor))
             self._seen, self._features, self._extras = seen, dots, dots.record["extras"][0]
             if networks is not None:
@@ -344,19 +394,36 @@ class LiveDetector:
                     *(inputs.extra_table(architecture.extras), architecture.own_inputs),
                     *(batch, *networks, np.full(1, np.nan, np.float32)),
                 )
-                copied = (array.copy() if isinstance(array, np.ndarray) else array for array in self._dots)
-                none = np.empty(0, np.uint16)  # compiles or loads the kernel now instead of in the first slice
-                _predict_slice(tracking.record.copy(), none, none, np.empty(0, np.uint8), *copied)
+                _compile(_predict_slice, tracking, self._dots)
         self._slices = 0  # number so far, for images and for dots of plug-ins
         self._newest = np.array([architecture.history - 1])
         self._images: deque[tuple[NDArray[Any], ...]] = deque(maxlen=architecture.history)  # columns of each slice
         self._blank = np.zeros(GEL_PX[::-1], np.int8)
 
-    def tell(self, position_ticks: float, command_ticks: float, sticking_share: float = float("nan")) -> None:
+    def _start_path(self, networks: MemoryNetworks, seen: NDArray[np.int64], sensor: Sensitivity) -> None:
+        """Start the numbers and the memory of a network with memory."""
+        path = load_path.start(self.detector.dot_shape, sensor, self.tracking.record["frame_px"][0])
+        rest = self.tracking.rest_xy_px[seen]
+        # All arguments of the compiled call, in its order, created once.
+        self._path = path
+        self._steps = path.record, seen, rest, networks, networks.memory, np.full(1, np.nan, np.float32)
+        _compile(_predict_step_of_slice, self.tracking, self._steps)
+
+    def tell(
+        self,
+        position_ticks: float,
+        command_ticks: float,
+        sticking_share: float = float("nan"),
+        slip_begun: float = float("nan"),
+    ) -> None:
         """Set the extras, starting with the next slice, until they are set again; NaN for unknown ones.
 
-        command_ticks: a goal current is converted as in `inputs.extra_columns`. A network without extras ignores them.
+        command_ticks: a goal current is converted as in `inputs.extra_columns`; a network with memory takes it as a
+        goal in ticks. slip_begun: probability that slip has begun, which only a network with memory uses. A network
+        without extras ignores them.
         """
+        if self._path is not None:
+            self._path.told[:] = position_ticks, command_ticks, np.nan, sticking_share, slip_begun
         self._extras[:] = position_ticks, command_ticks, sticking_share
 
     @property
@@ -371,11 +438,17 @@ class LiveDetector:
         p: NDArray[np.uint8],
         t_us: NDArray[np.int64] | None = None,
     ) -> float:
-        """Return the slip probability after the events of the next slice; NaN until the history is full.
+        """Return the slip probability after the events of the next slice.
+
+        NaN until the history is full; with memory, while nothing touches.
 
         t_us: times of the events, from the start of any slice; only networks with `needs_times` use them. Accepts the
         same columns as `tracker.step`.
         """
+        if self._path is not None:
+            p = tracker.checked_polarities(self.tracking, x, y, p)
+            self._probability = _predict_step_of_slice(self.tracking.record, x, y, p, *self._steps)
+            return self._probability
         if self.detector.networks is not None:
             p = tracker.checked_polarities(self.tracking, x, y, p)
             self._probability = _predict_slice(self.tracking.record, x, y, p, *self._dots)
@@ -408,6 +481,13 @@ class LiveDetector:
         start = np.cumsum([0, *(len(columns[0]) for columns in self._images)])
         series = GelEvents if self.needs_times else EventImages
         return series(start, *(np.concatenate(column) for column in zip(*self._images, strict=True)))
+
+
+def _compile(kernel: Any, tracking: tracker.TrackerState, arguments: tuple[Any, ...]) -> None:
+    """Compile or load a kernel of a slice now instead of in the first slice; on copies of its arguments."""
+    copied = (array.copy() if isinstance(array, np.ndarray) else array for array in arguments)
+    none = np.empty(0, np.uint16)
+    kernel(tracking.record.copy(), none, none, np.empty(0, np.uint8), *copied)
 
 
 @njit(cache=True)
@@ -445,4 +525,34 @@ def _predict_slice(
         inputs.fill(features.latest_slices(dots), ends, views, batch)
         inputs.fill_extras(features.latest_extras(dots), ends, extra_views, own_inputs, batch)
         predict_dots(batch, weights, sizes, probability)
+    return float(probability[0])
+
+
+@njit(cache=True)
+def _predict_step_of_slice(
+    tracking: NDArray[np.void],
+    x: NDArray[np.uint16],
+    y: NDArray[np.uint16],
+    p: NDArray[np.uint8],
+    path: NDArray[np.void],
+    seen: NDArray[np.int64],
+    rest_xy_px: NDArray[np.float64],
+    networks: MemoryNetworks,
+    memory: NDArray[np.float32],
+    probability: NDArray[np.float32],
+) -> float:
+    """Track the dots, add the slice to the load path, and predict at the end of a step; the value is held in between.
+
+    tracking, path: records of a `tracker.TrackerState` and a `load_path.LoadPathState`. rest_xy_px: of the dots seen.
+    """
+    tracker.take_slice(tracking, x, y, p)
+    all_xy_px, all_events = tracking[0]["centre_xy_px"][:], tracking[0]["events"][:]
+    moved_px, events = np.empty((seen.shape[0], 2), np.float32), np.empty(seen.shape[0], np.int32)
+    for i in range(seen.shape[0]):
+        for axis in range(2):
+            moved_px[i, axis] = features.offset(all_xy_px[seen[i], axis], rest_xy_px[i, axis])
+        events[i] = all_events[seen[i]]
+    if load_path.take_slice(path, moved_px, events):
+        numbers, touches = path[0]["numbers"][:], path[0]["touches"] != 0
+        probability[0] = memory_networks.predict_touch(numbers, touches, networks, memory)
     return float(probability[0])

@@ -263,11 +263,12 @@ def _distance(x_px: float, y_px: float, rest_x_px: float, rest_y_px: float) -> n
 
 
 @njit(cache=True)
-def _offset(place_px: float, rest_px: float) -> np.float32:
-    offset = np.float32(place_px) - rest_px
-    if isnan(offset):
+def offset(place_px: float, rest_px: float) -> np.float32:
+    """Return the displacement of a dot along one axis, as `displacement_xy` does, for compiled code."""
+    moved = np.float32(place_px) - rest_px
+    if isnan(moved):
         return np.float32(0.0)
-    return np.float32(offset)
+    return np.float32(moved)
 
 
 @njit(cache=True)
@@ -284,7 +285,7 @@ def take_slice(record: NDArray[np.void], dot_xy_px: NDArray[np.floating], events
         x_px, y_px, rest_x_px, rest_y_px = dot_xy_px[i, 0], dot_xy_px[i, 1], rest_xy_px[i, 0], rest_xy_px[i, 1]
         distance = moved * _distance(x_px, y_px, rest_x_px, rest_y_px)
         events = np.float32(counted * events_per_dot[i])
-        right, down = moved * _offset(x_px, rest_x_px), moved * _offset(y_px, rest_y_px)
+        right, down = moved * offset(x_px, rest_x_px), moved * offset(y_px, rest_y_px)
         for k in (first, again):
             ring[k], ring[k + 1], ring[k + 2], ring[k + 3] = distance, events, right, down
         first += len(CHANNELS)

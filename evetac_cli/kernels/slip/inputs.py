@@ -33,10 +33,12 @@ from evetac_cli.kernels.slip.architectures import (
     DotArchitecture,
     ExtraView,
     ImageArchitecture,
+    MemoryArchitecture,
     OverImages,
     PluginImageArchitecture,
 )
 from evetac_cli.kernels.slip.features import EventImages, GelEvents
+from evetac_cli.kernels.slip.load_path import EVERY, LoadPath
 
 # Conversion of a goal current: 0.40 N/mA of the servo over some 0.2 N per tick of further closing (both simulated; on a
 # real gripper neither has been measured). An error within a factor of two hardly changes the network's input.
@@ -167,13 +169,13 @@ class DotsAndExtras(NamedTuple):
 
 
 OfEvents = EventImages | GelEvents
-Series = NDArray[np.float32] | DotsAndExtras | OfEvents
+Series = NDArray[np.float32] | DotsAndExtras | OfEvents | LoadPath
 
 
 class Trajectory(NamedTuple):
     """One labelled trajectory, slice by slice: to train a detector on, or to evaluate it."""
 
-    series: Series  # dots or images, depending on the architecture
+    series: Series  # dots, images or steps, depending on the architecture
     events_outside: NDArray[np.int32]  # (slices,) events outside the window strip
     label: NDArray[np.int8]  # (slices,) 1 slip, 0 no slip, -1 not examined
     onset: int  # first slice of slip, -1 if there is none
@@ -182,7 +184,11 @@ class Trajectory(NamedTuple):
 
 
 def part(series: Series, first: int, last: int) -> Series:
-    """Return the slices [first, last) of a series, as a copy."""
+    """Return the slices [first, last) of a series, as a copy; of steps, first must be 0."""
+    if isinstance(series, LoadPath):
+        assert first == 0
+        steps = last // EVERY
+        return LoadPath(series.numbers[:steps].copy(), series.touches[:steps].copy(), last)
     if isinstance(series, OfEvents):
         columns: list[Any] = [column.copy() for column in series.part(first, last)]
         return type(series)(*columns)
@@ -216,7 +222,7 @@ class _EndToEnd:
 
 
 def join(parts: Iterable[Series]) -> Series:
-    """Concatenate at least one series of one kind; they are taken one by one, and none of them is kept."""
+    """Concatenate at least one series of one kind but steps; they are taken one by one, and none of them is kept."""
     left = iter(parts)
     first = next(left)
     columns = [_EndToEnd(column) for column in _columns(first)]
@@ -235,11 +241,14 @@ def _columns(series: Series) -> Sequence[NDArray[Any]]:
     """Return the parts of a series that can be concatenated: dots, or pixels or events with their counts per slice."""
     if isinstance(series, OfEvents):
         return np.diff(series.start), *series[1:]
+    assert not isinstance(series, LoadPath)
     return series if isinstance(series, DotsAndExtras) else (series,)
 
 
 def length(series: Series) -> int:
     """Return the number of slices of a series."""
+    if isinstance(series, LoadPath):
+        return series.slices
     return len(series.start) - 1 if isinstance(series, OfEvents) else len(dots_of(series))
 
 
@@ -249,12 +258,13 @@ def dots_of(series: NDArray[np.float32] | DotsAndExtras) -> NDArray[np.float32]:
 
 
 def at(architecture: Architecture, series: Series, slices: NDArray[np.integer]) -> NDArray[np.float32]:
-    """Return the network inputs of the samples that end at these slices of a series.
+    """Return the network inputs of the samples that end at these slices of a series, for a network without memory.
 
     Dots: (slices, n, channels) as from `features.series`, with all channels that are viewed -> (samples, n,
     inputs_per_dot); without extras, all extras are unknown. Images: `EventImages` -> (samples, history, height, width),
     newest first. Images of plug-ins: `GelEvents` -> (samples, images * channels, height, width), newest first.
     """
+    assert not isinstance(architecture, MemoryArchitecture) and not isinstance(series, LoadPath)
     ends = np.asarray(slices).astype(np.int64, casting="same_kind")
     assert ends.ndim == 1 and (
         not len(ends) or (ends.min() >= architecture.history - 1 and ends.max() < length(series))
@@ -312,6 +322,7 @@ def turn(
                 turned = features.rotate(np.moveaxis(images[is_turned], 1, 3), times)
                 images[is_turned] = np.moveaxis(turned, 3, 1)
         return images
+    assert isinstance(architecture, DotArchitecture)
     result = np.empty_like(batch)
     own = architecture.own_inputs
     _turn(batch, turns, factors, *_turning(architecture, rows, columns), result)

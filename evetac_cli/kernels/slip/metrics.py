@@ -1,7 +1,8 @@
 """Slip labels, and metrics of slip detectors: time of the first detection, F1, choice of checkpoint and threshold.
 
 Metrics follow the paper, Evaluation Procedure & Metrics. Time is the slice index, one slice per millisecond. A slice
-before the history is full has no probability: it is NaN, is not a sample, and never counts as slip.
+before the history is full, or without contact for a network with memory, has no probability: it is NaN, is not a
+sample, and never counts as slip.
 
 Labels are int8 per slice: 1 slip, 0 no slip, -1 not examined. The rule that turns a probability into a decision is the
 same in training, evaluation, grasp and view. It rounds both probability and threshold to float32 before `>=`.
@@ -131,7 +132,7 @@ def counts(label: NDArray[np.int8], detected: NDArray[np.bool_], onset: int) -> 
 class Prediction:
     """The probabilities of a detector for one trajectory, together with its labels.
 
-    `probability`: (slices,), NaN until the history is full. `label`: int8 (slices,) 1 slip, 0 no slip, -1 not examined,
+    `probability`: (slices,), NaN where there is none. `label`: int8 (slices,) 1 slip, 0 no slip, -1 not examined,
     shifted if slip is predicted. `onset`: first slice of slip in the labels before the shift, or -1. `object`: the name
     by which scores are grouped. `sensor`: its name. `timed`: whether the labels determine the onset precisely enough
     for timing.
@@ -147,10 +148,9 @@ class Prediction:
     def __post_init__(self) -> None:
         check_labels(self.label, self.onset)
         assert self.probability.shape == self.label.shape
-        defined = self.probability[np.count_nonzero(np.isnan(self.probability)) :]
-        # a NaN after the first number leaves a NaN in `defined`, and no comparison with NaN is true
+        defined = self.probability[~np.isnan(self.probability)]
         if not np.all((defined >= 0) & (defined <= 1)):
-            raise ValueError("expected probabilities within 0..1, NaN only before the history is full")
+            raise ValueError("expected probabilities within 0..1, or NaN")
 
     def detected(self, threshold: float) -> NDArray[np.bool_]:
         """Return which slices (slices,) count as slip."""

@@ -2,8 +2,9 @@
 
 The networks are the paper's (section Slip Detection, Model Architectures). `SlipNet`: two shared layers encode each dot
 separately, the codes are arranged in the grid of the dots, two convolutions combine neighbours, and three layers
-classify the whole. `ImageNet`: four convolutions on event images, and two layers. Only `train` imports this module,
-because torch takes more than a second to import.
+classify the whole. `ImageNet`: four convolutions on event images, and two layers. `MemoryNet` is evetac's own: a gated
+recurrent unit over the steps of a contact. Only `train` imports this module, because torch takes more than a second to
+import.
 """
 
 from collections.abc import Mapping
@@ -27,12 +28,15 @@ from evetac_cli.kernels.slip.architectures import (
     Architecture,
     DotArchitecture,
     ImageArchitecture,
+    MemoryArchitecture,
+    OverImages,
     PluginArchitecture,
     PluginImageArchitecture,
     PluginLayers,
     channels,
 )
 from evetac_cli.kernels.slip.detector import Detector
+from evetac_cli.kernels.slip.memory_networks import MOST_INPUT
 
 
 class SlipNetwork(nn.Module):
@@ -57,7 +61,7 @@ class SlipNetwork(nn.Module):
         super().__init__()
         self.architecture, self.rows, self.columns = architecture, rows, columns
         wide = channels(architecture)
-        self._shape = (wide,) if isinstance(architecture, DotArchitecture) else (wide, 1, 1)
+        self._shape = (wide, 1, 1) if isinstance(architecture, OverImages) else (wide,)
         self.register_buffer("input_scale", _channels(1.0 if input_scale is None else input_scale, wide))
         self.register_buffer("input_offset", _channels(0.0 if input_offset is None else input_offset, wide))
         self.add_layers()
@@ -140,6 +144,46 @@ class ImageNet(SlipNetwork):
         return torch.relu(self.fc1(images.flatten(1)))
 
 
+class MemoryNet(SlipNetwork):
+    """Slip detector with memory of a contact, from the numbers of its steps; see memory_networks.py."""
+
+    architecture: MemoryArchitecture
+
+    def add_layers(self) -> None:
+        """Add the layer over the numbers, the two of the gates, and the output."""
+        hidden = self.architecture.hidden
+        self.first = nn.Linear(channels(self.architecture), hidden)
+        self.entering, self.recurring = nn.Linear(hidden, 3 * hidden), nn.Linear(hidden, 3 * hidden)
+        self.last = nn.Linear(2 * hidden, 1)
+
+    def last_hidden(self, features: Tensor) -> Tensor:
+        """Return memory and layer after each step of one contact, (steps, 2 hidden), from numbers (steps, n)."""
+        hidden, _ = self.remembered(features[None], torch.zeros(1, 1, self.architecture.hidden, device=features.device))
+        return hidden[0]
+
+    def remembered(self, features: Tensor, memory: Tensor, dropout: float = 0.0) -> tuple[Tensor, Tensor]:
+        """Return memory and layer after each step, (streams, steps, 2 hidden), and the memory after the last.
+
+        features: (streams, steps, n). memory: before the first step, (1, streams, hidden). dropout: share of the values
+        that enter or leave the memory to set to 0, while training.
+        """
+        seen = torch.clamp(self.normalised(features), -MOST_INPUT, MOST_INPUT)
+        layer = torch.relu(self.first(seen))
+        drop = nn.functional.dropout
+        entering = drop(layer, dropout, self.training)
+        weights = [self._as_torch(each) for part in ("weight", "bias") for each in self._gates(part)]
+        states, memory = torch.gru(entering, memory, weights, True, 1, 0.0, self.training, False, True)
+        return torch.cat([drop(states, dropout, self.training), layer], 2), memory
+
+    def _gates(self, part: str) -> tuple[Tensor, Tensor]:
+        return getattr(self.entering, part), getattr(self.recurring, part)
+
+    def _as_torch(self, gates: Tensor) -> Tensor:
+        """Return gates in torch's order: reset, update, new content."""
+        update, reset, new = gates.chunk(3)
+        return torch.cat([reset, update, new])
+
+
 class PluginNet(SlipNetwork):
     """A network of another package, over dots or images."""
 
@@ -167,6 +211,8 @@ def build(
     kind: type[SlipNetwork] = PluginNet if isinstance(architecture, PluginLayers) else SlipNet
     if isinstance(architecture, ImageArchitecture):
         kind = ImageNet
+    if isinstance(architecture, MemoryArchitecture):
+        kind = MemoryNet
     return kind(architecture, rows, columns, input_scale, input_offset)
 
 

@@ -28,15 +28,19 @@ from evetac_cli.kernels.slip.architectures import (
     Architecture,
     DotArchitecture,
     ImageArchitecture,
+    MemoryArchitecture,
     PluginLayers,
+    channels,
     prefixes,
     weight_shapes,
 )
+from evetac_cli.kernels.slip.memory_networks import MOST_INPUT
 
 # The onnx package would write its newest versions, which the oldest onnxruntime that evetac accepts does not read.
 OPSET = 17
 IR = 8
 PER_GRID = "per_grid"  # name of the constant shape of the dots' codes: all inputs, rows, columns, channels
+LIMITS = {"least": -MOST_INPUT, "most": MOST_INPUT}  # of the inputs of a network with memory
 # fields about the program that wrote a file, not about its computation
 STAMPS = ("ir_version", "producer_name", "producer_version", "doc_string")
 
@@ -44,7 +48,10 @@ STAMPS = ("ir_version", "producer_name", "producer_version", "doc_string")
 def build(
     architecture: Architecture, weights: Mapping[str, NDArray[np.float32]], rows: int = 7, columns: int = 8
 ) -> bytes:
-    """Return the ONNX file of a detector with these weights: features (batch, ...) float32 -> probability (batch,)."""
+    """Return the ONNX file of a detector with these weights: features (batch, ...) float32 -> probability (batch,).
+
+    With memory, the batch is the steps of one contact from its start.
+    """
     model = _model(architecture, weights, rows, columns)
     onnx.checker.check_model(model, full_check=True)
     serialised: bytes = model.SerializeToString()
@@ -88,6 +95,12 @@ def read(graph: bytes, architecture: DotArchitecture) -> tuple[dict[str, NDArray
     return _weights_inside(_parsed(graph), architecture, rows, columns), rows, columns
 
 
+def read_memory(graph: bytes, architecture: MemoryArchitecture) -> dict[str, NDArray[np.float32]]:
+    """Return the weights of the graph of a detector with memory; ValueError unless `build` wrote it."""
+    check(graph, architecture, LEAST_ROWS, LEAST_COLUMNS)  # which its weights do not depend on
+    return _weights_inside(_parsed(graph), architecture, LEAST_ROWS, LEAST_COLUMNS)
+
+
 def _parsed(graph: bytes) -> Any:
     try:
         return onnx.ModelProto.FromString(graph)
@@ -119,6 +132,9 @@ def _model(architecture: Architecture, weights: Mapping[str, NDArray[np.float32]
         if isinstance(architecture, DotArchitecture):
             shape = [rows * columns, architecture.inputs_per_dot]
             value = graph.normalised("features", [-1])
+        elif isinstance(architecture, MemoryArchitecture):
+            shape = [channels(architecture)]
+            value = graph.normalised("features", [-1])
         else:
             shape = list(architecture.input_shape)
             value = graph.normalised("features", [-1, 1, 1])
@@ -126,6 +142,8 @@ def _model(architecture: Architecture, weights: Mapping[str, NDArray[np.float32]
             logits.append(architecture.add_layers(graph, value, rows, columns))
         elif isinstance(architecture, DotArchitecture):
             logits.append(_dot_layers(graph, architecture, rows, columns, value))
+        elif isinstance(architecture, MemoryArchitecture):
+            logits.append(_memory_layers(graph, architecture, value))
         else:
             logits.append(_image_layers(graph, architecture, value))
     value = graph.add("Sigmoid", logits[0] if len(logits) == 1 else graph.add("Mean", *logits))
@@ -167,6 +185,21 @@ def _image_layers(graph: "GraphWriter", architecture: ImageArchitecture, value: 
     return graph.layer("Gemm", value, "fc2", transB=1)
 
 
+def _memory_layers(graph: "GraphWriter", architecture: MemoryArchitecture, value: str) -> str:
+    hidden, least, most = architecture.hidden, *(graph.limit(name, at) for name, at in LIMITS.items())
+    value = graph.add("Clip", value, least, most)
+    layer = graph.add("Relu", graph.layer("Gemm", value, "first", transB=1))
+    sequence = graph.add("Reshape", layer, graph.constant("per_step", [-1, 1, hidden]))
+    direction = graph.constant("direction", [0])
+    (entering, enters), (recurring, recurs) = (graph.weights(name) for name in ("entering", "recurring"))
+    matrices = [graph.add("Unsqueeze", name, direction) for name in (entering, recurring)]
+    biases = graph.add("Unsqueeze", graph.add("Concat", enters, recurs, axis=0), direction)
+    # with linear_before_reset the reset gate acts on the product, as in torch
+    memory = graph.add("GRU", sequence, *matrices, biases, hidden_size=hidden, linear_before_reset=1)
+    memory = graph.add("Reshape", memory, graph.constant("per_state", [-1, hidden]))
+    return graph.layer("Gemm", graph.add("Concat", memory, layer, axis=1), "last", transB=1)
+
+
 class GraphWriter:
     """The nodes and constants of an ONNX graph that is being written."""
 
@@ -184,9 +217,20 @@ class GraphWriter:
 
     def layer(self, operator: str, value: str, name: str, **attributes: Any) -> str:
         """Add a node whose other inputs are weight and bias of a layer; return the name of its output."""
-        names = [f"{self.prefix}{name}.weight", f"{self.prefix}{name}.bias"]
-        self.used += names
-        return self.add(operator, value, *names, **attributes)
+        return self.add(operator, value, *self.weights(name), **attributes)
+
+    def weights(self, name: str) -> tuple[str, str]:
+        """Return the names of weight and bias of a layer, to use as inputs of nodes."""
+        weight, bias = f"{self.prefix}{name}.weight", f"{self.prefix}{name}.bias"
+        self.used += [weight, bias]
+        return weight, bias
+
+    def limit(self, name: str, value: float) -> str:
+        """Add a constant number and return its name, as `constant` does."""
+        if name not in self.used:
+            self.arrays[name] = np.array(value, np.float32)
+            self.used.append(name)
+        return name
 
     def constant(self, name: str, values: list[int]) -> str:
         """Add an integer constant, such as a shape, and return its name; one name must always have the same values."""

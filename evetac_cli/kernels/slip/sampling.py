@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from evetac_cli.kernels.slip import inputs
 from evetac_cli.kernels.slip.architectures import Architecture, OverImages
 from evetac_cli.kernels.slip.inputs import OfEvents, Trajectory
+from evetac_cli.kernels.slip.load_path import LoadPath
 from evetac_cli.kernels.slip.metrics import BUSY_EVENTS, check_labels, shift_labels
 
 SLIP_SHARE = 32  # samples of each pool in a batch
@@ -103,7 +104,7 @@ def _sorted(
     for trajectory in trajectories:
         count += 1
         assert len(trajectory.label) == len(trajectory.events_outside) == inputs.length(trajectory.series)
-        assert isinstance(trajectory.series, OfEvents) or inputs.dots_of(trajectory.series).shape[1] == dots
+        assert isinstance(trajectory.series, OfEvents | LoadPath) or inputs.dots_of(trajectory.series).shape[1] == dots
         members = _members(trajectory.label, trajectory.onset, trajectory.events_outside, architecture, horizon_ms)
         used = np.logical_or.reduce([*members.values()])
         if not used.any():

@@ -82,6 +82,9 @@ PRESETS = {
 
 # Starts from a trained network's weights and adapts them to one sensor with few recordings: small steps.
 ADAPT = replace(PRESETS["adamw"], name="adapt", learning_rate=2e-4, average=0.99, gain=(0.6, 1.6))
+# For networks with memory (memory_training.py).
+MEMORY = Preset("memory", "adamw", learning_rate=3e-3, normalise=True, epochs=70, checkpoint_every=7, weight_decay=0.02)
+ADAPT_MEMORY = replace(MEMORY, name="adapt", learning_rate=2e-4)
 
 
 def with_true_slip_share(preset: Preset) -> Preset:
@@ -165,8 +168,8 @@ def train(
     checkpoint_epochs = sorted({*range(preset.checkpoint_every, epochs + 1, preset.checkpoint_every), epochs})
     checkpoint_steps = {epoch * per_epoch for epoch in checkpoint_epochs}
     if steps < planned:
-        checkpoint_steps = set(_evenly(steps, len(checkpoint_epochs)))
-    points = set(_evenly(steps, CURVE_POINTS))
+        checkpoint_steps = set(evenly(steps, len(checkpoint_epochs)))
+    points = set(evenly(steps, CURVE_POINTS))
 
     seeds, draws, turns, gains, leaves_out = rng.spawn(5)
     architecture = groups.first.architecture
@@ -197,18 +200,19 @@ def train(
             run.checkpoints.append(Checkpoint(step, run.weights()))
         if on_save and step % SAVE_STEPS == 0 and step < steps:
             on_save(run.state)
-    return _training(preset, run.state())
+    return result_of(preset, run.state())
 
 
 def ended(preset: Preset, saved: TrainingState) -> SlipTraining | None:
     """Return the result of a run from its saved state; None if it is of another run, or has not ended."""
     try:
-        return _training(preset, saved) if int(saved["step"]) == int(saved["steps"]) else None
+        return result_of(preset, saved) if int(saved["step"]) == int(saved["steps"]) else None
     except (KeyError, ValueError, TypeError):
         return None
 
 
-def _training(preset: Preset, state: TrainingState) -> SlipTraining:
+def result_of(preset: Preset, state: TrainingState) -> SlipTraining:
+    """Return the result of a run from its state at the end."""
     curve = np.asarray(state["curve_step"]), np.asarray(state["curve_loss"])
     checkpoints = _checkpoints(_groups(state)["checkpoint"])
     return SlipTraining(preset, checkpoints, *curve, int(state["steps"]), int(state["planned"]), state)
@@ -396,6 +400,6 @@ def _network(
         return network, nn.Linear(network.outputs.in_features, 1)
 
 
-def _evenly(steps: int, points: int) -> list[int]:
+def evenly(steps: int, points: int) -> list[int]:
     """Return up to `points` different steps, evenly spaced; the last is `steps`."""
     return sorted({max(1, round(steps * (index + 1) / points)) for index in range(points)})

@@ -11,7 +11,7 @@ from evetac_cli.commands.featurize import Featurize
 from evetac_cli.commands.track import Track
 from evetac_cli.errors import MAKE_MODEL, InputError, UnavailableError, made_by
 from evetac_cli.jobs import Job, Progress, silent
-from evetac_cli.kernels.slip.architectures import ImageArchitecture, PluginImageArchitecture
+from evetac_cli.kernels.slip.architectures import ImageArchitecture, MemoryArchitecture, PluginImageArchitecture
 from evetac_cli.pages.shared import inner
 from evetac_cli.stages import featurize, track
 from evetac_cli.stages.model_files import why_useless
@@ -184,7 +184,7 @@ def _needed_features(model: StageFile) -> Featurize:
     """Return the flags of `featurize` that make the inputs of a model."""
     architecture = named_architecture(model.read("architecture"))
     images, events = (isinstance(architecture, one) for one in (ImageArchitecture, PluginImageArchitecture))
-    return Featurize(images=images, events=events)
+    return Featurize(images=images, events=events, sticking_share=isinstance(architecture, MemoryArchitecture))
 
 
 def _check_model(trial: OpenTrial) -> None:

@@ -29,6 +29,7 @@ from evetac_cli.kernels.slip.architectures import (
     LEAST_ROWS,
     Architecture,
     DotArchitecture,
+    MemoryArchitecture,
     PluginLayers,
     last_layer,
     parted,
@@ -73,6 +74,7 @@ class Settings(NamedTuple):
 
 
 USUAL = Settings("hist10", 0, "paper", max_steps=40000, networks=1)
+USUAL_MEMORY = USUAL._replace(preset="memory", max_steps=600)
 ADAPT_STEPS = 1000
 
 
@@ -201,7 +203,11 @@ class TrainedModel(NamedTuple):
 def _settings(params: Train) -> tuple[Settings, TrainedModel | None]:
     """Return the settings of a training and the model given by --adapt, if any; InputError if they do not fit."""
     if not params.adapt:
-        usual, trained = USUAL, None
+        has_memory = isinstance(named_architecture(params.model or USUAL.model), MemoryArchitecture)
+        usual, trained = USUAL_MEMORY if has_memory else USUAL, None
+        if has_memory and params.preset is not None:
+            message = f"cannot be combined with --model {params.model}, which has one recipe"
+            raise InputError(message, where="--preset", expected="left out", found=params.preset)
     else:
         usual, trained = _to_adapt(model_file(params.adapt, flag="--adapt"))
         fixed: dict[str, Any] = {"preset": None, "folds": 0}

@@ -19,7 +19,7 @@ from evetac_cli import plugins
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.slip import sampling
-from evetac_cli.kernels.slip.architectures import Architecture, joined, parted
+from evetac_cli.kernels.slip.architectures import Architecture, MemoryArchitecture, joined, parted
 from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.metrics import LAST_CHECKPOINTS, Prediction
 from evetac_cli.kernels.slip.sampling import PoolSizes, SampleGroups, SlipSamples, TrajectorySize, drawn_groups
@@ -31,6 +31,7 @@ from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.layout.rules import named_architecture
 
 if TYPE_CHECKING:  # torch takes more than a second to import
+    from evetac_cli.kernels.slip.memory_training import MemorySamples
     from evetac_cli.kernels.slip.training import Preset, SlipTraining, TrainingState
 
 Weights = dict[str, NDArray[np.float32]]
@@ -93,7 +94,9 @@ class Networks:
     recipe: Recipe  # with all settings of the training
     shape: tuple[int, int]  # rows and columns of dots
     start: Sequence[Weights] | None  # initial weights of each network of a fold
-    _gathered: dict[int, SampleGroups] = field(default_factory=dict, init=False)  # of the last requested fold
+    _gathered: dict[int, "SampleGroups | MemorySamples"] = field(
+        default_factory=dict, init=False
+    )  # of the last requested fold
 
     @property
     def count(self) -> int:
@@ -106,7 +109,11 @@ class Networks:
         from evetac_cli.kernels.slip import training
 
         parameters = self.recipe.parameters
-        preset = training.PRESETS[parameters["preset"]] if self.start is None else training.ADAPT
+        has_memory = isinstance(self.architecture, MemoryArchitecture)
+        if self.start is not None:
+            preset = training.ADAPT_MEMORY if has_memory else training.ADAPT
+        else:
+            preset = training.MEMORY if has_memory else training.PRESETS[parameters["preset"]]
         return training.with_true_slip_share(preset) if parameters["learn_true_slip_share"] else preset
 
     @property
@@ -171,9 +178,10 @@ class Networks:
         """Train a network, or continue from its saved state; return the result and the step of that state.
 
         The step is None without a saved state, or if the state was that of a finished network. If there are several
-        networks, each final state is saved. The random numbers of the last network do not depend on their number.
+        networks, each final state is saved. The random numbers of the last network do not depend on their number. A
+        network with memory is not saved before its end.
         """
-        from evetac_cli.kernels.slip import training
+        from evetac_cli.kernels.slip import memory_training, training
 
         parameters, place = self.recipe.parameters, plan.state_file(self.model, self.recipe, number, self.count)
         start = None if self.start is None else self.start[number % parameters["networks"]]
@@ -190,19 +198,16 @@ class Networks:
                 written = time.monotonic()
 
         seed = parameters["seed"]
-        result = training.train(
-            self._groups_of(number // parameters["networks"], progress),
-            preset,
-            # (0, 0) would be the same as 0, since numpy pads the words of a seed with zeros.
-            np.random.default_rng(seed if number == self.count - 1 else (seed, number + 1)),
-            parameters["epochs"],
-            parameters["max_steps"],
-            on_progress=lambda step, steps: progress(number * steps + step, self.count * steps),
-            on_save=save,
-            device=parameters["device"],
-            resume_from=saved,
-            start=start,
-        )
+        samples = self._samples_of(number // parameters["networks"], progress)
+        # (0, 0) would be the same as 0, since numpy pads the words of a seed with zeros.
+        rng = np.random.default_rng(seed if number == self.count - 1 else (seed, number + 1))
+        lengths: dict[str, Any] = {name: parameters[name] for name in ("epochs", "max_steps")}
+        common: dict[str, Any] = lengths | {"device": parameters["device"], "start": start}
+        common["on_progress"] = lambda step, steps: progress(number * steps + step, self.count * steps)
+        if isinstance(samples, SampleGroups):
+            result = training.train(samples, preset, rng, **common, on_save=save, resume_from=saved)
+        else:
+            result = memory_training.train(samples, preset, rng, **common)
         if self.count > 1:
             _write(place, self.recipe, result.state)
         return result, None if saved is None else int(saved["step"])
@@ -212,11 +217,15 @@ class Networks:
         for number in range(self.count):
             plan.state_file(self.model, self.recipe, number, self.count).unlink(missing_ok=True)
 
-    def _groups_of(self, fold: int, progress: Progress) -> SampleGroups:
+    def _samples_of(self, fold: int, progress: Progress) -> "SampleGroups | MemorySamples":
         """Return the training samples of a fold."""
         if fold not in self._gathered:
             self._gathered.clear()
-            self._gathered[fold] = self._groups(self.folds[fold].trained_on, progress)
+            numbers = self.folds[fold].trained_on
+            if isinstance(self.architecture, MemoryArchitecture):
+                self._gathered[fold] = self._contacts(numbers, self.architecture, progress)
+            else:
+                self._gathered[fold] = self._groups(numbers, progress)
         return self._gathered[fold]
 
     def _groups(self, numbers: Sequence[int], progress: Progress) -> SampleGroups:
@@ -238,16 +247,23 @@ class Networks:
 
     def _samples(self, numbers: Sequence[int], progress: Progress) -> SlipSamples:
         """Return the samples of these inputs."""
-        parameters, architecture = self.recipe.parameters, self.architecture
+        horizon_ms = self.recipe.parameters["horizon_ms"]
+        return sampling.gather(self._trajectories(numbers, progress), self.architecture, *self.shape, horizon_ms)
 
-        def trajectories() -> Iterator[Trajectory]:
-            for done, number in enumerate(numbers):
-                progress(done, len(numbers), "files read")
-                yield read_trajectory(
-                    self.inputs[number], architecture, true_slip_share=parameters["learn_true_slip_share"]
-                )
+    def _contacts(
+        self, numbers: Sequence[int], architecture: MemoryArchitecture, progress: Progress
+    ) -> "MemorySamples":
+        """Return the contacts of these inputs, for a network with memory."""
+        from evetac_cli.kernels.slip import memory_training
 
-        return sampling.gather(trajectories(), architecture, *self.shape, parameters["horizon_ms"])
+        horizon_ms = self.recipe.parameters["horizon_ms"]
+        return memory_training.gather(self._trajectories(numbers, progress), architecture, horizon_ms)
+
+    def _trajectories(self, numbers: Sequence[int], progress: Progress) -> Iterator[Trajectory]:
+        learns_share = self.recipe.parameters["learn_true_slip_share"]
+        for done, number in enumerate(numbers):
+            progress(done, len(numbers), "files read")
+            yield read_trajectory(self.inputs[number], self.architecture, true_slip_share=learns_share)
 
 
 def _read(path: Path, recipe: Recipe) -> "TrainingState | None":

@@ -8,7 +8,9 @@ from evetac_cli.kernels.slip.architectures import (
     EXTRAS,
     Architecture,
     ImageArchitecture,
+    MemoryArchitecture,
     PluginImageArchitecture,
+    channels,
 )
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Recipe
@@ -25,6 +27,8 @@ def series_bytes(file: StageFile, architecture: Architecture) -> int:
         has_events = file.has("gel_events")
         return 8 * file.length("gel_events/start") + 7 * file.length("gel_events/x") if has_events else 0
     slices, dots = file.contents()["displacement_px"][1]
+    if isinstance(architecture, MemoryArchitecture):
+        return slices // architecture.every * (4 * channels(architecture) + 1)
     values = dots * (len(CHANNELS) if architecture.sees_direction else 2)
     return 4 * slices * (values + (len(EXTRAS) if architecture.extras else 0))
 

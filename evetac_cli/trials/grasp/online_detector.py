@@ -134,7 +134,7 @@ class OnlineSlipDetector:
         return self.live.tracking
 
     def step(self, events: Events) -> float:
-        """Return the slip probability after one more slice; NaN until the history is full."""
+        """Return the slip probability after one more slice; NaN while there is none (LiveDetector.step)."""
         self.probability = self.live.step(events.x, events.y, events.p, events.t)
         alarms.step(self.alarm, self.probability)
         if self.sticking is not None:
@@ -144,7 +144,8 @@ class OnlineSlipDetector:
 
     def _tell(self) -> None:
         """Pass to the network what is known before the next slice."""
-        self.live.tell(*self._gripper_state, float("nan") if self.sticking is None else self.sticking.share)
+        sticking = () if self.sticking is None else (self.sticking.share, self.sticking.begun)
+        self.live.tell(*self._gripper_state, *sticking)
 
     @property
     def signal(self) -> SlipSignal:

@@ -17,12 +17,16 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper
 
 from evetac_cli.kernels.slip import features, inputs, networks, onnx_graphs
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES, ImageArchitecture
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, ImageArchitecture, MemoryArchitecture
 from evetac_cli.kernels.slip.detector import Detector, LiveDetector, over_each
 from evetac_cli.kernels.slip.features import EventImages
 from evetac_cli.kernels.tracking import presets, tracker
 
-ROWS = {name: row for name, row in ARCHITECTURES.items() if not name.endswith("-img")}
+ROWS = {
+    name: row
+    for name, row in ARCHITECTURES.items()
+    if not name.endswith("-img") and not isinstance(row, MemoryArchitecture)  # that is in test_memory_networks.py
+}
 REST = np.stack(np.meshgrid(61 + 62.3 * np.arange(8), 41 + 62.4 * np.arange(7)), axis=-1).reshape(-1, 2)
 WINDOW = (540, 0, 640, 480)
 

@@ -15,7 +15,7 @@ from evetac_cli.kernels.slip.architectures import (
 from evetac_cli.kernels.slip.features import EventImages
 
 DOTS = {name: row for name, row in ARCHITECTURES.items() if isinstance(row, DotArchitecture)}
-SMALL = {name: row for name, row in ARCHITECTURES.items() if not name.endswith("-img")}
+SMALL = {name: row for name, row in ARCHITECTURES.items() if name in DOTS or name.endswith("-6x6")}
 
 
 def dots(slices: int, n: int = 56, seed: int = 0) -> NDArray[np.float32]:

@@ -88,9 +88,10 @@ def test_slices_before_the_history_is_full_are_no_samples() -> None:
     assert metrics.onset(Prediction(says, label, 0).detected(0.0)) == 2
 
 
-@pytest.mark.parametrize("says", [[0.1, np.nan, 0.2], [0.1, 1.1, 0.2], [0.1, -0.1, 0.2], [0.1, 0.2, np.inf]])
+@pytest.mark.parametrize("says", [[0.1, 1.1, np.nan], [0.1, -0.1, 0.2], [0.1, 0.2, np.inf]])
 def test_impossible_probabilities_are_refused(says: list[float]) -> None:
-    """Assert that a prediction holds probabilities, NaN at its start only."""
+    """Assert that a prediction holds probabilities, or NaN anywhere."""
+    Prediction(np.array([np.nan, 0.0, np.nan]), np.zeros(3, np.int8), -1)
     with pytest.raises(ValueError, match="probabilities"):
         Prediction(np.array(says), np.zeros(3, np.int8), -1)
 

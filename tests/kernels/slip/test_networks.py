@@ -7,7 +7,14 @@ import torch
 from numpy.typing import NDArray
 
 from evetac_cli.kernels.slip import networks
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES, Architecture, DotArchitecture, ImageArchitecture
+from evetac_cli.kernels.slip.architectures import (
+    ARCHITECTURES,
+    Architecture,
+    DotArchitecture,
+    ImageArchitecture,
+    MemoryArchitecture,
+    channels,
+)
 from evetac_cli.kernels.slip.networks import ImageNet, SlipNet, SlipNetwork
 
 HIST10 = ARCHITECTURES["hist10"]
@@ -144,7 +151,7 @@ def test_weights_come_back(normalised: bool) -> None:
 
 def spread(network: SlipNetwork, inputs: NDArray[np.float32]) -> None:
     """Scale and shift the last layer so that the probabilities of some inputs lie on both sides of 0.5."""
-    last = network.fc5 if isinstance(network, SlipNet) else network.fc2
+    last = network.outputs
     with torch.no_grad():
         logits = network(torch.from_numpy(inputs))
         last.weight.div_(logits.std())
@@ -156,6 +163,8 @@ def random_inputs(architecture: Architecture, batch: int, rng: np.random.Generat
     if isinstance(architecture, ImageArchitecture):
         fired = rng.random((batch, *architecture.input_shape)) < np.linspace(0.02, 0.4, batch)[:, None, None, None]
         return np.where(fired, rng.choice(np.array([-1, 1], np.float32), fired.shape), np.float32(0))
+    if isinstance(architecture, MemoryArchitecture):
+        return rng.normal(2, 5, (batch, channels(architecture))).astype(np.float32)
     return rng.normal(2, 5, (batch, 56, architecture.inputs_per_dot)).astype(np.float32)
 
 
@@ -165,7 +174,7 @@ def test_onnx_agrees_with_torch(name: str, normalised: bool) -> None:
     """Assert that the ONNX graph gives torch's probabilities to 1e-5, one by one and many at once."""
     architecture, rng = ARCHITECTURES[name], np.random.default_rng(7)
     inputs = random_inputs(architecture, 2 if name.endswith("-img") else 24, rng)
-    wide = inputs.shape[1] if isinstance(architecture, ImageArchitecture) else inputs.shape[2]
+    wide = channels(architecture)
     scale, offset = (rng.uniform(0.2, 2, wide), rng.normal(size=wide)) if normalised else (None, None)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(7)
