@@ -16,6 +16,7 @@ from scripts.reproduce.experiment import Study
 from scripts.reproduce.facts import RESULTS, made_on
 from scripts.reproduce.table_text import as_table
 from scripts.studies.likeness import convergence, grid, paper_sensor_tables, sensitivity, sliding
+from scripts.studies.tracking import drift
 
 # Reasons that have changed since data/likeness.toml was written, whose bytes are part of a recipe.
 MISSES = {
@@ -170,5 +171,6 @@ STUDY = Study(
         "likeness-convergence": convergence.as_page,
         "likeness-grid": grid.as_page,
         "likeness-sliding": sliding.as_page,
+        "likeness-drift": drift.as_page,
     }
 )

@@ -1,6 +1,6 @@
 """How far does the tracker `stable` drift from the true dots: at rest, held for a minute, in slow load and in slip?
 
-    python scripts/studies/tracking/drift.py --as NAME [--out docs/results/tracking/drift.json]
+    python scripts/studies/tracking/drift.py --as NAME [--out docs/results/likeness/drift.json]
 
 Recordings are made in --recordings first, unless they are there. A row has the errors of one recording, without the
 motion that all dots share: rms over the dots and over WINDOW_MS, in px per axis. Rows of other names are kept: those of
@@ -27,10 +27,10 @@ from evetac_cli.store.recordings.read import Recording, open_recording
 from evetac_cli.trials import grasp, record
 from evetac_cli.trials.grasp.settings import SimulatedGrasp
 from evetac_cli.trials.trial import SimulatedTrial
-from scripts.reproduce.facts import RESULTS, commit_in_words
+from scripts.reproduce.facts import commit_in_words
 from scripts.reproduce.table_text import as_table
 from scripts.studies import motions
-from scripts.studies.likeness.trials import kept, made_by, write
+from scripts.studies.likeness.trials import FOLDER, kept, made_by, write
 from scripts.studies.motions import EVETAC, Planned
 from scripts.studies.slip.recordings import trial_of
 from scripts.studies.slip.trials import planned_on
@@ -125,7 +125,7 @@ def _lag_ms(own_px: Floats, true_px: Floats, onset: int) -> int:
 
 def as_page(results: Path) -> str:
     """Return the table of docs/evidence/simulation.md."""
-    rows = kept(results / "tracking" / "drift.json")
+    rows = kept(results / FOLDER.name / "drift.json")
     lines, names = [], sorted({row["as"] for row in rows}, reverse=True)
     for sensors, name, kind in itertools.product(("evetac", "random"), names, KINDS):
         of = [row for row in rows if (row["sensors"], row["as"], row["kind"]) == (sensors, name, kind)]
@@ -155,7 +155,7 @@ def main() -> None:
     """Measure, and write the rows."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--as", dest="name", required=True, help="name of the tracker in the table: before, after")
-    parser.add_argument("--out", type=Path, default=RESULTS / "tracking" / "drift.json")
+    parser.add_argument("--out", type=Path, default=FOLDER / "drift.json")
     parser.add_argument("--recordings", type=Path, help="folder of the recordings; default: a temporary one")
     chosen = parser.parse_args()
     others = [row for row in (kept(chosen.out) if chosen.out.exists() else []) if row["as"] != chosen.name]
