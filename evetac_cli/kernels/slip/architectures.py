@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.events import FRAME_PX, SLICES_PER_S
 from evetac_cli.kernels.event_representation import Representation
+from evetac_cli.kernels.tracking.presets import USUAL_CONTRAST
 
 
 class Sensitivity(NamedTuple):
@@ -54,7 +55,7 @@ CHANNELS = ("distance", "events", "x", "y")  # features of every dot and slice; 
 EXTRAS = ("position", "command", "sticking")
 IN_TICKS = ("position", "command")
 # Properties of the sensor `evetac`, to which others are scaled: events of a pixel as a dot's rim passes, and its gel.
-EVENTS_A_RIM = 8.0
+EVENTS_A_RIM = USUAL_CONTRAST
 SHEAR_MODULUS_PA = 145e3
 GEL_PX = (540, 480)  # width and height of an event image: the frame without the window strip
 

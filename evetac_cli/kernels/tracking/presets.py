@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from evetac_cli.errors import check_range, check_whole
 
-USUAL_CONTRAST = 8.0  # of a dot over the camera's threshold, in log units
+USUAL_CONTRAST = 8.0  # log contrast of a dot over the threshold of the camera, of the sensor `evetac`
 MAX_REACH_PX = 128.0  # keeps the integer sum of 1e6 pulls below 2**63
 
 

@@ -41,6 +41,7 @@ WINDOW_MS = 100  # over which an error is averaged
 KINDS = ("rest", "held", "slip")  # of trials
 HELD_S = (1, 10, 60)  # after the hand has stopped, or after the start of a recording at rest
 BEFORE_SLIP_MS, IN_SLIP_MS = 60, 30
+LEAST_ONSET_MS = 10 * WINDOW_MS  # the load before slip is measured over this time
 LAGS_MS = range(16)
 FIGURES = (*(f"after_{s}_s" for s in HELD_S), "slow_load", "before_slip", "in_slip", "lag_ms")
 
@@ -99,11 +100,11 @@ def measured(kind: str, path: Path) -> Row:
         start = len(own_px) - round(1000 * (HELD_S[-1] + 0.5)) if kind == "held" else 0
         ends = {s: start + 1000 * s for s in HELD_S}
         return {f"after_{s}_s": _rms(own_px[end - WINDOW_MS : end]) for s, end in ends.items() if end <= onset}
-    if onset < motions.LOST_MS * 10 or not slips.any():
+    if onset < LEAST_ONSET_MS or not slips.any():
         return {}
     before = own_px[onset - BEFORE_SLIP_MS : onset]
     return {
-        "slow_load": _rms(own_px[onset - 10 * WINDOW_MS : onset - BEFORE_SLIP_MS]),
+        "slow_load": _rms(own_px[onset - LEAST_ONSET_MS : onset - BEFORE_SLIP_MS]),
         "before_slip": _rms(before),
         "in_slip": _rms(own_px[onset : onset + IN_SLIP_MS]),
         "lag_ms": _lag_ms(own_px, true_px, onset),
@@ -130,12 +131,14 @@ def as_page(results: Path) -> str:
     for sensors, name, kind in itertools.product(("evetac", "random"), names, KINDS):
         of = [row for row in rows if (row["sensors"], row["as"], row["kind"]) == (sensors, name, kind)]
         known = [[row[figure] for row in of if figure in row] for figure in FIGURES]
+        n = max(map(len, known))  # a trial without slip, or whose object is lost while it is held, has no figures
         cells = [f"{np.median(values):.3f} ({max(values):.2f})" if values else "" for values in known]
-        lines.append([sensors, name, kind, str(len(of)), *cells])
-    heads = ["sensors", "tracker", "trials", "n", *(f"{figure.replace('_', ' ')}" for figure in FIGURES)]
+        lines.append([sensors, name, kind, f"{n} of {len(of)}", *cells])
+    heads = ["sensors", "tracker", "trials", "counted", *(f"{figure.replace('_', ' ')}" for figure in FIGURES)]
     said = (
         "Simulated; error of the tracked dots in px rms per axis, without the motion that all share: median of the"
-        " trials, and the largest. `after`: seconds at rest or held. `slow load`: the second before slip, `before"
+        " trials that count, and the largest; a trial does not count if its object is lost while held, or never slips."
+        " `after`: seconds at rest or held. `slow load`: the second before slip, `before"
         f" slip`: its last {BEFORE_SLIP_MS} ms, `in slip`: the {IN_SLIP_MS} ms after its onset:"
     )
     return "\n\n".join([said, as_table(heads, lines), made_by(rows, COMMAND)]) + "\n"

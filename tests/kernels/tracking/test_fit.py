@@ -450,7 +450,7 @@ def noise(rng: np.random.Generator, rate: float = 30.0) -> Slice:
 
 
 def test_noise_does_not_move_dots() -> None:
-    """Assert that dots stay within 0.03 px in 20 s of noise, and then follow a motion of 1 px in a second."""
+    """Assert that 20 s of noise move dots by less than 0.03 px rms; they then follow a motion of 1 px in a second."""
     rng = np.random.default_rng(3)
     state = tracker.start(grid(), STABLE)
     for _ in range(20_000):
