@@ -9,6 +9,7 @@ talk at once. It leaves the servo a pause after an instruction without an answer
 the port is free for the next one.
 """
 
+import os
 import select
 import termios
 import time
@@ -85,7 +86,7 @@ class _Port(PortHandler):  # type: ignore[misc]
     def setupPort(self, cflag_baud: int) -> bool:
         if self.is_open:
             self.closePort()
-        self.ser = serial.Serial(self.port_name, self.baudrate, timeout=0, write_timeout=WRITE_S, exclusive=True)
+        self.ser = serial.Serial(self.port_name, self.baudrate, timeout=0, exclusive=True)
         self.is_open = True
         self.ser.reset_input_buffer()
         self.tx_time_per_byte = 10_000.0 / self.baudrate
@@ -119,7 +120,10 @@ class _Port(PortHandler):  # type: ignore[misc]
         early_s = self._pause_until_s - time.monotonic()
         if early_s > 0:
             time.sleep(early_s)
-        return int(self.ser.write(bytes(packet)))
+        # pyserial's own write with a timeout reports a failure after a success if the program stood still meanwhile
+        if not select.select([], [self.ser.fileno()], [], WRITE_S)[1]:
+            raise serial.SerialTimeoutException("the port accepts no bytes")
+        return os.write(self.ser.fileno(), bytes(packet))
 
     def readPort(self, length: int) -> bytes:
         if length <= 0:

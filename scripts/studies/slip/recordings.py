@@ -29,12 +29,12 @@ OBJECTS = {"learn": motions.TRAINED, "choose": motions.CHOSEN_BY}
 # Trials per object. Fast jerks, weights and the data-rate scene are reserved for evaluation.
 COUNTS = {
     "learn": {
-        **{"slip": 8, "slip-varied": 8, "slip-speeds": 40, "handling": 4, "pushes": 6, "grip": 5, "jerks": 4},
-        **{"lifting": 2, "opening": 5, "light touch": 2, "vibration": 3, "weak lifts": 8},
+        **{"slip": 6, "slip-varied": 8, "slip-speeds": 28, "handling": 10, "pushes": 14, "grip": 6, "jerks": 6},
+        **{"lifting": 2, "opening": 6, "light touch": 2, "vibration": 4, "weak lifts": 4},
     },
     "choose": {
-        **{"slip": 4, "slip-speeds": 8, "handling": 2, "pushes": 4, "grip": 3, "jerks": 2},
-        **{"lifting": 2, "opening": 4, "light touch": 2, "vibration": 2, "weak lifts": 4},
+        **{"slip": 6, "slip-varied": 6, "slip-speeds": 24, "handling": 4, "pushes": 6, "grip": 3, "jerks": 2},
+        **{"lifting": 1, "opening": 3, "light touch": 1, "vibration": 2, "weak lifts": 2},
     },
 }
 MOST = max(count for counts in COUNTS.values() for count in counts.values())
@@ -131,6 +131,7 @@ def main(arguments: list[str] | None = None) -> None:
         known = ", ".join(COUNTS[chosen.role])
         parser.error(f"--motions: expected some of {known}, found {', '.join(sorted(unknown))}")
     slots = list(every_one(chosen.role, names, chosen.per_object, chosen.out))
+    slots.sort(key=lambda slot: slot.place / slot.several)  # what is there when a run is stopped holds every motion
     if chosen.jobs == 1:
         sys.stdout.writelines(map(make, slots))
     else:

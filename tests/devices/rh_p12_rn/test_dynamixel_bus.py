@@ -55,6 +55,25 @@ def test_a_question_damaged_on_its_way_is_asked_again(gripper: VirtualGripper, m
         assert bus.counted == {"answers_lost": 0, "answers_damaged": 1, "answers_stray": 0}
 
 
+def test_a_program_that_stood_still_while_writing_has_its_port(
+    gripper: VirtualGripper, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Assert that a write that took effect counts, however late the program goes on (stopped, or without a core)."""
+    write = os.write
+
+    def stands_still(file: int, data: bytes) -> int:
+        monkeypatch.setattr(os, "write", write)
+        written = write(file, data)
+        time.sleep(0.2)
+        return written
+
+    monkeypatch.setattr(dynamixel_bus, "WRITE_S", 0.1)
+    with Bus(gripper.port, 2_000_000, answer_ms=2000) as bus:
+        monkeypatch.setattr(os, "write", stands_still)
+        bus.write("LED Red", 77)
+        assert gripper.read_register("LED Red") == 77
+
+
 def test_a_late_answer_does_not_shift_those_that_follow(monkeypatch: pytest.MonkeyPatch) -> None:
     """Assert that after a lost answer that comes late, questions that follow closely get their own answers again.
 
