@@ -139,7 +139,8 @@ def predict(detectors: Sequence[Detector], trajectory: Trajectory, header: Heade
         for probability, found in zip(every, probabilities(detectors, needed, first), strict=True):
             probability[first:] = found
     label, name = shift_labels(trajectory.label, horizon_ms), object_name(header)
-    return [Prediction(one, label, trajectory.onset, name, timed=trajectory.timed) for one in every]
+    timed, slip_share = trajectory.timed, trajectory.slip_share
+    return [Prediction(one, label, trajectory.onset, name, timed=timed, slip_share=slip_share) for one in every]
 
 
 def first_labelled(label: NDArray[np.int8]) -> int:

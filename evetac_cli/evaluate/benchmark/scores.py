@@ -3,7 +3,7 @@
 - onset: share of slips whose first detection is from 50 ms before to 20 ms after gross slip begins (the paper's rule).
 - warning: share of slips with a warning at least 10 ms ahead, at the lowest threshold with at most one false alarm per
   minute of contact in the recordings without slip. The rule of alarms is that of kernels/slip/alarms.py; the alarm that
-  is on when the object slips must have begun at most 200 ms before (rule `gross` of evaluate/slip/warnings.py).
+  is on when the object slips must have begun at most 200 ms before.
 - force: mean absolute error of the shear force over instants and both axes, in N.
 - dots: root mean square of the distance from the true dots, over instants and dots, in px.
 - grip: share of lifts whose object is held to the end with a mean grip force of at most 3 times what just holds it.
@@ -21,15 +21,13 @@ from numpy.typing import NDArray
 from evetac_cli.evaluate.benchmark.data_set import Benchmark, Truth
 from evetac_cli.evaluate.benchmark.predictions import Predictions
 from evetac_cli.evaluate.common.rows import mean
-from evetac_cli.evaluate.slip import warnings as slip_warnings
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels import estimates
 from evetac_cli.kernels.estimates import Estimate
 from evetac_cli.kernels.slip import alarms, metrics
 
-AHEAD_MS = 10  # least warning
+AHEAD_MS = 10, 200  # of a warning
 FALSE_PER_MIN = 1.0
-RULE = "gross"
 FIRMEST = 3.0  # mean grip force over what just holds the object
 ALL = "all"
 MS_PER_MIN = 60_000
@@ -171,11 +169,12 @@ def warning_parts(
         true = truth[name]
         if not true.slip_begins:
             continue
-        leads: list[int | None] = [None] * len(true.slip_begins)
+        warned = [False] * len(true.slip_begins)
         if threshold is not None:
             alarming = alarms.alarming(score, threshold) & true.held
-            leads = slip_warnings.judge(alarming, true.share, true.slips).leads_ms[RULE]
-        parts += [_part(benchmark, true, name, float(lead is not None and lead >= AHEAD_MS)) for lead in leads]
+            leads = [alarms.lead_ms(alarming, begin) for begin in true.slip_begins]
+            warned = [lead is not None and AHEAD_MS[0] <= lead <= AHEAD_MS[1] for lead in leads]
+        parts += [_part(benchmark, true, name, float(one)) for one in warned]
     return parts
 
 

@@ -178,27 +178,39 @@ def predict_all(
         with ExitStack() as stack:
             files = [stack.enter_context(StageFile(path, "features")) for path in paths[chunk]]
             if recordings is None:
-                found = [(file.read("label"), int(file.read("onset_slice")), not abstains(file)) for file in files]
+                found = [
+                    _Answer(file.read("label"), int(file.read("onset_slice")), not abstains(file)) for file in files
+                ]
             else:
-                found = [(*_by_truth(path), True) for path in recordings[chunk]]
+                found = [_by_truth(path) for path in recordings[chunk]]
             # Slices that one of the two labels and the other does not have a probability in one alone.
             names = [f"{header['id']}{'' if recordings is None else '-truth'}.zip" for header in headers[chunk]]
             places = [None if folder is None else folder / name for name in names]
-            probabilities = _judge(models, files, [label for label, *_ in found], places)
+            probabilities = _judge(models, files, [answer.label for answer in found], places)
             every = zip(found, headers[chunk], sensors[chunk], probabilities, strict=True)
-            for (label, onset, timed), header, sensor, of_models in every:
+            for (label, onset, timed, share), header, sensor, of_models in every:
                 for model, predictions, probability in zip(models, by_model, of_models, strict=True):
                     shifted = shift_labels(label, model.horizon_ms)
-                    predictions.append(Prediction(probability, shifted, onset, object_name(header), sensor, timed))
+                    of = object_name(header), sensor
+                    predictions.append(Prediction(probability, shifted, onset, *of, timed, share))
         progress(min(begin + AT_ONCE, len(paths)), len(paths))
     return by_model
 
 
-def _by_truth(path: Path) -> tuple[NDArray[np.int8], int]:
-    """Return the labels (slices,) and the onset, -1 for none, of a simulated recording by its truth."""
+class _Answer(NamedTuple):
+    """What a trajectory's probabilities are compared with, as in `Prediction`."""
+
+    label: NDArray[np.int8]
+    onset: int
+    timed: bool = True
+    slip_share: NDArray[np.float32] | None = None
+
+
+def _by_truth(path: Path) -> _Answer:
+    """Return the truth of a simulated recording."""
     with open_recording(path) as recording:
         labels = from_truth(recording, Label().after_ms)
-    return labels.label, labels.onset
+        return _Answer(labels.label, labels.onset, slip_share=recording.read("truth/visible_slip_share"))
 
 
 def _judge(

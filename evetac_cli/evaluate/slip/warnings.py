@@ -5,14 +5,12 @@ Timing, in contrast, considers only the first slice, as in the paper. Figures ar
 and over the seeds of a setting. Trials share objects, sensors or both, so the intervals come from resampling objects
 and sensors. They do not include the randomness of training.
 
-Where the truth is known, alarms are true by one of two rules, for users who want to know of partial slip and users who
-want to know of gross slip:
+Whether an alarm is false is decided by kernels/slip/alarms.py: by the true slipping share of the contact where it is
+known, else by the labels.
 
-- `partial`: SLIPS or more of the visible contact slips between BEFORE_MS before and AFTER_MS after the alarm;
-- `gross`: the object slides within FOLLOWS_MS after the alarm.
-
-The warning of a gross slip is then the alarm that is on when it begins, unless that alarm began as a false one. An
-alarm that begins while the object has been sliding for LATE_MS or more is not a warning and is not counted.
+`judge` counts over a trial with many slips whose truth is known. The warning of a gross slip is then the alarm that is
+on when it begins, unless that alarm began as a false one. An alarm that begins while the object has been sliding for
+LATE_MS or more is not a warning and is not counted.
 """
 
 from collections.abc import Sequence
@@ -30,9 +28,7 @@ from evetac_cli.kernels.slip import alarms, metrics, reliability
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.kernels.slip.reliability import ReliabilityBin
 
-SLIPS, BEFORE_MS, AFTER_MS = 0.3, 20, 60
-FOLLOWS_MS, LATE_MS = 200, 20
-RULES = ("partial", "gross")
+LATE_MS = 20
 WARNED = {ahead_ms: f"warned_{ahead_ms}_ms" for ahead_ms in alarms.LEADS_MS}  # columns: warned at least this long ahead
 
 
@@ -214,32 +210,22 @@ def slip_begins(slips: Flags) -> list[int]:
 
 
 class AlarmCounts(NamedTuple):
-    """Results of a trial at one threshold: false alarms by rule, and how early each slip was warned of (None: not)."""
+    """Results of a trial at one threshold: false alarms, and how early each slip was warned of (None: not)."""
 
-    false: dict[str, int]
-    leads_ms: dict[str, list[int | None]]
+    false: int
+    leads_ms: list[int | None]
 
 
 def judge(alarming: Flags, share: Singles, slips: Flags) -> AlarmCounts:
-    """Classify alarms by the true slipping share of the contact and by gross slip."""
+    """Classify alarms by the true slipping share of the contact, and compare them with gross slip; all are (slices,)."""
     slips_at = slip_begins(slips)
     slides = slips.copy()  # slices at which an alarm would be late
     for begin in slips_at:
         slides[begin : begin + LATE_MS + 1] = False
-
-    def truths(at: int) -> dict[str, bool]:
-        partial = bool((share[max(at - BEFORE_MS, 0) : at + AFTER_MS + 1] >= SLIPS).any())
-        gross = bool(slips[max(at - LATE_MS, 0) : at + FOLLOWS_MS + 1].any())
-        return {"partial": partial, "gross": gross}
-
-    false = dict.fromkeys(RULES, 0)
-    for at in alarms.onsets(alarming & ~slides).tolist():
-        for rule, is_true in truths(at).items():
-            false[rule] += not is_true
-    leads: dict[str, list[int | None]] = {rule: [] for rule in RULES}
+    is_false = alarms.nothing_slips(np.zeros(len(slips), np.int8), slip_share=share)
+    leads: list[int | None] = []
     for begin in slips_at:
         lead = alarms.lead_ms(alarming, begin)
-        first = None if lead is None or lead < -LATE_MS else truths(begin - lead)
-        for rule in RULES:
-            leads[rule].append(lead if first is not None and first[rule] else None)
-    return AlarmCounts(false, leads)
+        warned = lead is not None and lead >= -LATE_MS and not is_false[begin - lead]
+        leads.append(lead if warned else None)
+    return AlarmCounts(int(is_false[alarms.onsets(alarming & ~slides)].sum()), leads)

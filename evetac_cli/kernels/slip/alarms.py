@@ -22,7 +22,11 @@ from evetac_cli.kernels.slip.metrics import Prediction, is_slip
 
 ALARM_SLICES = 3  # consecutive slices that reach the threshold
 APART_MS = 200  # from one counted alarm to the next
-NEAR_SLIP_MS = 200  # an alarm this close to slip, before or after, is not false
+# An alarm is false unless the contact slips near it. Where the true slipping share of the contact is known, that is
+# MUCH_SLIPS or more between BEFORE_MS before and AFTER_MS after the alarm. Labels only tell when the object slides,
+# before which the contact has slipped in part for a while: there it is slip up to NEAR_SLIP_MS before or after.
+MUCH_SLIPS, BEFORE_MS, AFTER_MS = 0.3, 20, 60
+NEAR_SLIP_MS = 200
 LEADS_MS = (0, 5, 10, 20, 40)  # lead times of warnings that are reported
 
 
@@ -77,17 +81,24 @@ def onsets(alarms: NDArray[np.bool_]) -> NDArray[np.int64]:
     return np.array(counted, np.int64)
 
 
-def nothing_slips(label: NDArray[np.int8], onset: int = -1) -> NDArray[np.bool_]:
-    """Return the slices in which an alarm is false: labelled no slip (0), and over 200 ms from any slice that slips.
+def nothing_slips(
+    label: NDArray[np.int8], onset: int = -1, slip_share: NDArray[np.floating] | None = None
+) -> NDArray[np.bool_]:
+    """Return the slices in which an alarm is false: labelled no slip (0), and nothing slips near them.
 
-    onset: first slice of slip in the labels before they were shifted, -1 for none.
+    onset: first slice of slip in the labels before they were shifted, -1 for none. slip_share: true slipping share of
+    the contact, (slices,), NaN where it is unknown; None if only the labels are known.
     """
     slips = label == 1
     if onset >= 0:
         slips[onset] = True
+    before, after = NEAR_SLIP_MS, NEAR_SLIP_MS
+    if slip_share is not None:
+        slips |= slip_share >= MUCH_SLIPS
+        before, after = BEFORE_MS, AFTER_MS
     so_far = np.concatenate([[0], np.cumsum(slips)])
     places = np.arange(len(label))
-    first, last = np.maximum(places - NEAR_SLIP_MS, 0), np.minimum(places + NEAR_SLIP_MS + 1, len(label))
+    first, last = np.maximum(places - before, 0), np.minimum(places + after + 1, len(label))
     quiet: NDArray[np.bool_] = (label == 0) & (so_far[last] == so_far[first])
     return quiet
 
@@ -154,7 +165,7 @@ def warning_curve(predictions: Sequence[Prediction]) -> WarningCurve:
     warned = []
     for one in predictions:
         level = levels(one.probability)
-        quiet = nothing_slips(one.label, one.onset) & ~np.isnan(one.probability)
+        quiet = _judged_quiet(one)
         slices += int(np.count_nonzero(quiet))
         quiet_level = np.where(quiet, level, np.float32(np.nan))
         highest = np.fmax.reduce(quiet_level, initial=-1.0)
@@ -171,5 +182,10 @@ def warning_curve(predictions: Sequence[Prediction]) -> WarningCurve:
 
 def false_alarms(prediction: Prediction, threshold: float) -> tuple[int, int]:
     """Return the number of false alarms at a threshold, and of slices with a probability in which nothing slips."""
-    quiet = nothing_slips(prediction.label, prediction.onset) & ~np.isnan(prediction.probability)
+    quiet = _judged_quiet(prediction)
     return len(onsets(alarming(prediction.probability, threshold) & quiet)), int(np.count_nonzero(quiet))
+
+
+def _judged_quiet(one: Prediction) -> NDArray[np.bool_]:
+    quiet: NDArray[np.bool_] = nothing_slips(one.label, one.onset, one.slip_share) & ~np.isnan(one.probability)
+    return quiet

@@ -19,6 +19,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from evetac_cli.errors import check_range
+from evetac_cli.kernels.slip.alarms import MUCH_SLIPS
 from evetac_cli.kernels.slip.architectures import OF_GRIPPER, MemoryArchitecture
 from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.load_path import EVERY, LoadPath
@@ -37,7 +38,6 @@ from evetac_cli.kernels.slip.training import (
 
 Singles = NDArray[np.float32]
 CHUNK, STREAMS = 80, 32  # steps of a contact per step of the optimiser, and contacts at a time
-MUCH_SLIPS = 0.3  # share of the contact that counts as slip
 AFTER_MS = 60  # of a slip, after which steps do not count: the object slides, and nothing is left to foresee
 CHECKPOINTS = 10
 DROPOUT = 0.1

@@ -135,7 +135,8 @@ class Prediction:
     `probability`: (slices,), NaN where there is none. `label`: int8 (slices,) 1 slip, 0 no slip, -1 not examined,
     shifted if slip is predicted. `onset`: first slice of slip in the labels before the shift, or -1. `object`: the name
     by which scores are grouped. `sensor`: its name. `timed`: whether the labels determine the onset precisely enough
-    for timing.
+    for timing. `slip_share`: true slipping share of the contact (slices,), by which alarms are then false; None if only
+    labels are known.
     """
 
     probability: NDArray[np.floating]
@@ -144,6 +145,7 @@ class Prediction:
     object: str = ""
     sensor: str = ""
     timed: bool = True
+    slip_share: NDArray[np.floating] | None = None
 
     def __post_init__(self) -> None:
         check_labels(self.label, self.onset)

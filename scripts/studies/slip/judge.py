@@ -1,41 +1,40 @@
 """Evaluate how early slip is detected, and with how many false alarms, by oracles with true values and by detectors.
 
-`python scripts/studies/slip/judge.py choose --seed 4000 --minutes 3 --rows FOLDER` simulates each motion with the
-objects for choosing thresholds, and writes the thresholds (thresholds.json). `... judge --seed 51000 --trials 200
---minutes 3 --rows FOLDER` simulates others, and writes tables. The folder keeps one row per trial, and existing rows
-are not simulated again. --motions runs some motions, and writes only rows.
-
-Without --model no camera is simulated. With `--model NAME=FILE ...`, detectors also see the trials through a camera.
-Thresholds are chosen only for oracles; a model's thresholds are in its file.
+`python scripts/studies/slip/judge.py see FOLDER --seed 73000 --minutes 3 --trials 300` simulates each motion, one file
+per trial (seen.py), which takes hours; existing files are not made again. `--objects choose` takes the objects for
+choosing thresholds. `... choose FOLDER` writes the oracles' thresholds for timing (thresholds.json). `... judge FOLDER
+--model NAME=FILE ...` writes tables; models of one name are trainings of one detector.
 """
 
 import argparse
+import functools
 import itertools
+import multiprocessing
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from evetac_cli.evaluate.slip.models import Model
-from evetac_cli.evaluate.slip.warnings import RULES
+from evetac_cli.jobs import Row
 from evetac_cli.resources import MODEL
 from scripts.reproduce.experiment import Check, Figure, ScriptCheck, Study
 from scripts.reproduce.facts import RESULTS
 from scripts.reproduce.made_tables import models_in_words, write
 from scripts.reproduce.steps import script
 from scripts.studies import motions
-from scripts.studies.motions import Planned, Trial
 from scripts.studies.slip import tables as slip_tables
 from scripts.studies.slip import trials as slip_trials
-from scripts.studies.slip.seen import seen
-from scripts.studies.slip.trials import Scores, planned_at
+from scripts.studies.slip.seen import SeenTrial, trials_in
+from scripts.studies.slip.tables import Rows
+from scripts.studies.slip.trials import planned_at
 
-MOST_TRIALS = 100_000
-
+OBJECTS = {"judge": motions.JUDGED, "choose": motions.CHOSEN_BY}
 
 STUDY = Study(
     scripts={
         "slip-detectors-timing": ScriptCheck(
-            (script("studies/slip/judge.py", "judge", "--seed", 52000, "--minutes", 0.3, "--trials", 30, "--model",
-                    f"ours 10 ms={MODEL}", "--rows", "rows", "--out", "tables"),),
+            (script("studies/slip/judge.py", "see", "seen", "--seed", 73000, "--minutes", 0.3, "--trials", 30),
+             script("studies/slip/judge.py", "judge", "seen", "--model", f"load-path={MODEL}", "--out", "tables")),
             4.0,
             Check(("score",), tuple(Figure(name, count="slips") for name in ("correct", "early", "late"))),
         ),
@@ -43,57 +42,83 @@ STUDY = Study(
 )  # fmt: skip
 
 
+read_model = functools.cache(Model.read)  # once in each process
+
+
+def judged(one: SeenTrial, models: dict[str, Path]) -> Row:
+    """Return the row of a trial with the results of every score."""
+    assert one.trial is not None
+    scores = slip_trials.scores_of(one, {name: read_model(path) for name, path in models.items()})
+    return one.row | slip_trials.judged(one.motion, one.trial, scores)
+
+
+def rows_of(folder: Path, models: dict[str, Path], jobs: int) -> Rows:
+    """Return the rows of all trials of a folder by motion; SystemExit if there are none."""
+    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
+        judge = functools.partial(judged, models=models)
+        rows = {motion: [*pool.imap(judge, trials_in(folder, motion), 8)] for motion in motions.MOTIONS}
+    if not any(rows.values()):
+        raise SystemExit(f"{folder}: expected trials, found none; run `judge.py see` first")
+    return {motion: of_motion for motion, of_motion in rows.items() if of_motion}
+
+
+def see(chosen: argparse.Namespace, names: Sequence[str]) -> None:
+    """Simulate the trials of each motion."""
+    for motion in names:
+        counted = chosen.trials if motion == "slip-speeds" else 0
+        limits = (float("inf"), counted) if counted else (chosen.minutes,)
+        plans = (planned_at(motion, OBJECTS[chosen.objects], chosen.seed, at, chosen.seed) for at in itertools.count())
+        count = slip_trials.see(chosen.folder, motion, plans, chosen.seed, *limits)
+        sys.stdout.write(f"{motion}: {count} trials\n")
+        sys.stdout.flush()
+
+
+def judge(chosen: argparse.Namespace) -> None:
+    """Write the tables."""
+    named: dict[str, list[str]] = {}
+    models = {}
+    for name, _, path in (given.partition("=") for given in chosen.model):
+        named.setdefault(name, []).append(f"{name} {len(named.get(name, ())) + 1}")
+        models[named[name][-1]] = Path(path)
+    rows = rows_of(chosen.folder, models, chosen.jobs)
+    words = f" --model {models_in_words(chosen.model)}" if models else ""
+    command = f"python scripts/studies/slip/judge.py judge FOLDER{words} --name {chosen.name}"
+    at = slip_tables.thresholds() | slip_tables.thresholds_of(models)
+    tables = [
+        slip_tables.timing_table(f"{chosen.name}-timing", rows, at, command),
+        slip_tables.warning_table(f"{chosen.name}-warned", rows, named, command),
+        slip_tables.motions_table(f"{chosen.name}-motions", rows, named, command),
+    ]
+    if models:
+        tables.append(slip_tables.stated_table(f"{chosen.name}-stated", rows, models, command))
+        tables.append(slip_tables.paired_table(f"{chosen.name}-paired", rows, at, models, command))
+    write(chosen.out, *tables)
+
+
 def main() -> None:
-    """Choose thresholds, or evaluate with them."""
+    """Simulate trials, choose thresholds, or evaluate with them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("choose", "judge"))
-    parser.add_argument("--seed", type=int, required=True, help="seed of the first trial of a motion")
-    parser.add_argument("--minutes", type=float, required=True, help="minutes of contact for each motion")
-    parser.add_argument("--trials", type=int, default=0, help="number of slip-speeds trials, instead of minutes")
-    parser.add_argument("--motions", default="", help="only these, for example pushes,jerks; writes only rows")
-    parser.add_argument("--rows", type=Path, required=True, help="folder of the rows, one file per motion")
-    parser.add_argument("--model", nargs="*", default=[], metavar="NAME=FILE", help="trained slip detectors")
-    parser.add_argument("--name", default="slip-detectors", help="name of the tables")
-    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the tables")
+    parser.add_argument("what", choices=("see", "choose", "judge"))
+    parser.add_argument("folder", type=Path, help="folder of the trials, one folder per motion")
+    parser.add_argument("--seed", type=int, default=0, help="see: seed of the first trial of a motion")
+    parser.add_argument("--minutes", type=float, default=3.0, help="see: minutes of contact for each motion")
+    parser.add_argument("--trials", type=int, default=0, help="see: number of slip-speeds trials, instead of minutes")
+    parser.add_argument("--motions", default="", help="see: only these, for example pushes,jerks")
+    parser.add_argument("--objects", choices=tuple(OBJECTS), default="judge", help="see: which objects")
+    parser.add_argument("--model", nargs="*", default=[], metavar="NAME=FILE", help="judge: detectors with memory")
+    parser.add_argument("--name", default="slip-detectors", help="judge: name of the tables")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="judge: folder of the tables")
+    parser.add_argument("--jobs", type=int, default=1, help="choose, judge: trials evaluated at the same time")
     chosen = parser.parse_args()
-    models = {name: Model.read(Path(path)) for name, _, path in (given.partition("=") for given in chosen.model)}
-    objects = motions.CHOSEN_BY if chosen.what == "choose" else motions.JUDGED
     asked = [name for name in chosen.motions.split(",") if name]
     if unknown := set(asked) - set(motions.MOTIONS):
         parser.error(f"--motions: expected some of {', '.join(motions.MOTIONS)}, found {', '.join(sorted(unknown))}")
-
-    def play(planned: Planned, seed: int) -> tuple[Trial, Scores]:
-        trial, scores = seen(planned, seed, models) if models else (motions.played(planned, seed), {})
-        return trial, {**slip_trials.oracle_scores(trial), **scores}
-
-    rows = {}
-    for motion in asked or motions.MOTIONS:
-        counted = chosen.trials if motion == "slip-speeds" else 0
-        plans = (planned_at(motion, objects, chosen.seed, place, chosen.seed) for place in itertools.count())
-        path = chosen.rows / f"{motion.replace(' ', '-')}.jsonl"
-        limits = (float("inf"), counted) if counted else (chosen.minutes, MOST_TRIALS)
-        rows[motion] = slip_trials.rows_of(path, motion, plans, chosen.seed, *limits, play)
-        for row in rows[motion]:
-            if missing := models.keys() - row["scores"].keys():
-                raise SystemExit(f"{path}: rows lack results of {', '.join(missing)}; name another folder with --rows")
-        sys.stdout.write(f"{motion}: {len(rows[motion])} trials\n")
-    if asked:
-        return
-    if chosen.what == "choose":
-        slip_tables.choose_thresholds(rows, chosen.seed)
-        return
-    words = ["python scripts/studies/slip/judge.py judge", f"--seed {chosen.seed}", f"--minutes {chosen.minutes:g}"]
-    words += [f"--trials {chosen.trials}"] * bool(chosen.trials)
-    words += [f"--model {models_in_words(chosen.model)}"] * bool(models)
-    command = " ".join([*words, f"--rows FOLDER --name {chosen.name}"])
-    at = slip_tables.thresholds() | {name: slip_tables.thresholds_of(model.path) for name, model in models.items()}
-    given = (rows, at)
-    tables = [slip_tables.timing_table(f"{chosen.name}-timing", *given, command)]
-    tables += [slip_tables.warning_table(f"{chosen.name}-{rule}", *given, rule, command) for rule in RULES]
-    shown = ["ahead 10 ms", *models]
-    tables += [slip_tables.motions_table(f"{chosen.name}-motions", *given, shown, command)]
-    tables += [slip_tables.paired_table(f"{chosen.name}-paired", *given, list(models), command)] * bool(models)
-    write(chosen.out, *tables)
+    if chosen.what == "see":
+        see(chosen, asked or motions.MOTIONS)
+    elif chosen.what == "choose":
+        slip_tables.choose_thresholds(rows_of(chosen.folder, {}, chosen.jobs))
+    else:
+        judge(chosen)
 
 
 if __name__ == "__main__":

@@ -1,46 +1,66 @@
-"""Run several slip detectors at once on a trial seen through the camera and the tracker `stable`.
+"""Keep trials as slip detectors see them, one file per trial: load path of tracked and of true dots, and the truth.
 
-The tracker runs once instead of once per detector. The probabilities equal those of `track`, `featurize` and a report.
+Simulating trials with a camera takes hours, evaluating detectors on the files minutes (judge.py). The tracker is
+`stable`, and the load paths of tracked dots equal those of `track` and `featurize`, bit for bit.
 """
 
-from collections.abc import Mapping
-from typing import Any
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from evetac_cli.arrays import Floats, Singles
-from evetac_cli.evaluate.slip.models import Model
+from evetac_cli.errors import SceneError
 from evetac_cli.events import Events
-from evetac_cli.kernels.slip import features, inputs
-from evetac_cli.kernels.slip.architectures import Architecture, DotArchitecture, sensitivity_of
-from evetac_cli.kernels.slip.detector import over_each
-from evetac_cli.kernels.slip.inputs import DotsAndExtras
+from evetac_cli.kernels.slip import features, load_path
+from evetac_cli.kernels.slip.architectures import sensitivity_of
+from evetac_cli.kernels.slip.inputs import known_at_start
+from evetac_cli.kernels.slip.load_path import LoadPath
 from evetac_cli.kernels.tracking import tracker
 from evetac_cli.kernels.tracking.presets import PRESETS
 from evetac_cli.kernels.tracking.tracker import TrackerState
 from evetac_cli.stages.touch.touch_fold import StickingShare
+from evetac_cli.store.hdf5.disk import taking_the_place_of
 from scripts.studies import motions
 from scripts.studies.motions import Planned, Trial
-from scripts.studies.slip.trials import Scores
 
 TRACKER = "stable"
 UNKNOWN = float("nan")
+DOTS = ("tracked", "true")
+TRUTH = ("slip_share", "slips", "normal_n", "shear_n", "closing_ticks")  # fields of `Trial` that are kept
+
+
+class View(NamedTuple):
+    """What a detector sees of a trial; share and begun are the sticking network's before each slice, (slices,)."""
+
+    path: LoadPath
+    sticking_share: Singles
+    slip_begun: Singles
+
+
+class SeenTrial(NamedTuple):
+    """A trial of a motion with its truth, without its dots, and its views by kind of dots."""
+
+    motion: str
+    row: dict[str, Any]  # object, seed, sensor, and `refused`: why it was not simulated
+    trial: Trial | None
+    views: dict[str, View]
 
 
 class Seen:
-    """Tracks, events, gripper and sticking share of a trial, slice by slice; pass `see` to `motions.played`."""
+    """Tracks, events and gripper of a trial, slice by slice; pass `see` to `motions.played`."""
 
-    def __init__(self, *, sticks: bool) -> None:
-        """Start before the first slice; sticks: whether the sticking share is estimated."""
+    def __init__(self) -> None:
+        """Start before the first slice."""
         self.sensor: Mapping[str, Any] = {}
         self.rest_px: Floats = np.empty((0, 2))
         self._dot_px: list[Singles] = []
+        self._lost: list[Any] = []
         self._events: list[Any] = []
         self._gripper: list[tuple[float, float, float, float]] = []  # time in us, position, goal in ticks, goal in mA
-        self._share: list[float] = []
-        self._sticks = sticks
         self._tracking: TrackerState | None = None
-        self._sticking: StickingShare | None = None
 
     def see(self, sensor: Mapping[str, Any], events: Events, row: Mapping[str, Any]) -> None:
         """Add one more slice."""
@@ -50,14 +70,10 @@ class Seen:
             contrast = sensitivity_of(sensor).contrast_over_threshold
             constants = PRESETS[TRACKER].for_dots(float(sensor["sensor/dot_radius_px"]), contrast)
             self._tracking = tracker.start(self.rest_px, constants)
-            self._sticking = StickingShare(self.rest_px, sensor["sensor/frame_px"]) if self._sticks else None
         state = self._tracking
         tracker.step(state, events.x, events.y, events.p)
-        # a slice uses the sticking share of the slice before
-        self._share.append(UNKNOWN if self._sticking is None else self._sticking.share)
-        if self._sticking is not None:
-            self._sticking.step(state.dot_xy_px, state.lost)
         self._dot_px.append(state.dot_xy_px.astype(np.float32))
+        self._lost.append(np.array(state.lost))
         self._events.append(state.events_per_dot.copy())
         if "gripper/t_us" in row:
             in_current_mode = not np.isnan(row["gripper/current_target_ma"])
@@ -70,43 +86,80 @@ class Seen:
         """Tracked positions of the dots at the end of each slice, (slices, dots, 2), as tracks store them."""
         return np.array(self._dot_px)
 
-    def extras(self) -> Singles:
-        """The inputs that are not from dots, (slices, extras)."""
+    def gripper(self) -> list[Singles]:
+        """Position and goal in ticks and goal in mA at the start of each slice, (slices,) each."""
         slices = len(self._dot_px)
-        share = np.array(self._share, np.float32)
         if not self._gripper:
-            return inputs.extra_columns(slices, sticking_share=share)
+            return [np.full(slices, np.nan, np.float32) for _ in range(3)]
         t_us, *values = (np.array(column) for column in zip(*self._gripper, strict=True))
-        known = [inputs.known_at_start(t_us.astype(np.int64), column, slices) for column in values]
-        return inputs.extra_columns(slices, *known, share)
+        return [known_at_start(t_us.astype(np.int64), column, slices) for column in values]
 
-    def probabilities(self, models: Mapping[str, Model]) -> dict[str, tuple[Singles, int]]:
-        """Return the probabilities of each model by name, with its horizon in ms."""
-        dot_px, events = self.dot_px, np.array(self._events)
-        moved, moved_xy = features.displacement(dot_px, self.rest_px), features.displacement_xy(dot_px, self.rest_px)
-        estimated, sensitivity = self.extras(), sensitivity_of(self.sensor)
-        alike: dict[Architecture, list[str]] = {}  # models with the same inputs
-        for name, model in models.items():
-            alike.setdefault(model.architecture, []).append(name)
-        said = {}
-        for architecture, names in alike.items():
-            if not isinstance(architecture, DotArchitecture):
-                raise TypeError(f"{names[0]}: expected a network over dots, found {architecture.name}")
-            series = features.series(moved, events, moved_xy, architecture.factors(sensitivity))
-            detectors = [models[name].detector() for name in names]
-            found = over_each(detectors, DotsAndExtras(series, estimated))
-            said |= {name: (one, models[name].horizon_ms) for name, one in zip(names, found, strict=True)}
-        return {name: said[name] for name in models}
+    def view(self, dot_px: Singles, lost: Iterable[Any]) -> View:
+        """Return what detectors see of these dots (slices, dots, 2), lost (dots,) in each slice, and of the rest."""
+        sticks = StickingShare(self.rest_px, self.sensor["sensor/frame_px"])
+        # a slice uses what the sticking network says after the slice before
+        share, begun = np.full((2, len(dot_px) + 1), np.nan, np.float32)
+        for number, (of_slice, gone) in enumerate(zip(dot_px, lost, strict=True), 1):
+            share[number] = sticks.step(of_slice, gone)
+            begun[number] = sticks.begun
+        told = np.stack([*self.gripper(), share[:-1], begun[:-1]], axis=1)
+        state = load_path.start(
+            tuple(np.shape(self.sensor["sensor/dot_xy_px"])[:2]),
+            sensitivity_of(self.sensor),
+            self.sensor["sensor/frame_px"],
+        )
+        moved = features.displacement_xy(dot_px, self.rest_px)
+        path = load_path.over(state, moved, np.array(self._events), told.astype(np.float32))
+        return View(path, share[:-1], begun[:-1])
+
+    def views(self, trial: Trial) -> dict[str, View]:
+        """Return the views by kind of dots."""
+        none_lost = np.zeros(trial.dot_px.shape[:2], np.bool_)
+        return {"tracked": self.view(self.dot_px, self._lost), "true": self.view(trial.dot_px, none_lost)}
 
 
-def seen(planned: Planned, seed: int, models: Mapping[str, Model]) -> tuple[Trial, Scores]:
-    """Simulate a trial with a camera; return it and each model's probabilities."""
-    sticks = any(
-        view.extra == "sticking"
-        for model in models.values()
-        if isinstance(model.architecture, DotArchitecture)
-        for view in model.architecture.extras
-    )
-    eye = Seen(sticks=sticks)
-    trial = motions.played(planned, seed, eye.see)
-    return trial, eye.probabilities(models)
+def seen(motion: str, row: dict[str, Any], planned: Planned, seed: int) -> SeenTrial:
+    """Simulate a trial with a camera; one that the simulator refuses has no truth and no views."""
+    eye = Seen()
+    try:
+        trial = motions.played(planned, seed, eye.see)
+    except SceneError as error:  # a heavy object would compress a soft gel beyond the layer's limit
+        return SeenTrial(motion, row | {"refused": error.message}, None, {})
+    return SeenTrial(motion, row, trial, eye.views(trial))
+
+
+def write(path: Path, one: SeenTrial) -> None:
+    """Write a trial to a file."""
+    arrays: dict[str, Any] = {"row": json.dumps(one.row)}
+    if one.trial is not None:
+        arrays |= {name: getattr(one.trial, name) for name in TRUTH}
+    for dots, view in one.views.items():
+        arrays |= {f"{dots}/numbers": view.path.numbers, f"{dots}/touches": view.path.touches}
+        arrays |= {f"{dots}/sticking_share": view.sticking_share, f"{dots}/slip_begun": view.slip_begun}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with taking_the_place_of(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def read(path: Path) -> SeenTrial:
+    """Read a trial from its file."""
+    with np.load(path, allow_pickle=False) as arrays:
+        row = json.loads(str(arrays["row"]))
+        views: dict[str, View] = {}
+        if "refused" in row:
+            return SeenTrial(path.parent.name, row, None, views)
+        nowhere = np.empty((len(arrays["slips"]), 0, 2), np.float32)
+        truth = {name: arrays[name] for name in TRUTH}
+        trial = Trial(dot_px=nowhere, rest_px=np.empty((0, 2)), mm_per_px=1.0, frame_px=(1, 1), **truth)
+        for dots in DOTS:
+            path_of = LoadPath(arrays[f"{dots}/numbers"], arrays[f"{dots}/touches"], len(trial.slips))
+            views[dots] = View(path_of, arrays[f"{dots}/sticking_share"], arrays[f"{dots}/slip_begun"])
+        return SeenTrial(path.parent.name, row, trial, views)
+
+
+def trials_in(folder: Path, motion: str) -> Iterator[SeenTrial]:
+    """Yield the trials of a motion that were simulated, in their order."""
+    for path in sorted((folder / motion).glob("*.npz")):
+        one = read(path)
+        if one.trial is not None:
+            yield one

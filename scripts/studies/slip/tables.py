@@ -1,38 +1,36 @@
 """Choose thresholds and make tables from rows of evaluated trials (trials.py): timing, warnings and false alarms.
 
-Oracles use the thresholds written by `choose_thresholds`; models use those in their files:
-
-- timing and F1: the threshold chosen by the paper's rule
-- warnings: the threshold that `grasp` uses
-- warnings compared with an oracle's: the threshold for PER_MINUTE
-
-All thresholds are rounded to the nearest of THRESHOLDS.
+Timing and F1 use the threshold chosen by the paper's rule, on other trials: of oracles by `choose_thresholds`, of
+models in their files. Warnings of all scores are compared at equal false alarms per minute on the judged trials;
+`stated_table` compares the false alarms that a model's file states with those on the judged trials.
 """
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.evaluate.slip.warnings import AFTER_MS, BEFORE_MS, FOLLOWS_MS, RULES
-from evetac_cli.evaluate.slip.warnings import SLIPS as SLIP_SHARE
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.estimates import Estimate, cluster_weights, ratio_of_clusters
-from evetac_cli.kernels.slip.alarms import ALARM_SLICES, LEADS_MS
+from evetac_cli.kernels.slip.alarms import AFTER_MS, ALARM_SLICES, APART_MS, BEFORE_MS, MUCH_SLIPS
 from evetac_cli.kernels.slip.metrics import Counts, timing
 from evetac_cli.kernels.slip.reliability import ReliabilityBin, expected_error
-from evetac_cli.stages.model_files import chosen_threshold, read_curve
+from evetac_cli.stages.model_files import read_curve
 from evetac_cli.store.files import StageFile
 from scripts.reproduce.made_tables import table_of
+from scripts.studies.motions import EVETAC
+from scripts.studies.slip.seen import DOTS
 from scripts.studies.slip.trials import SLIPS, THRESHOLDS
 
 HERE = Path(__file__).resolve().parent
 THRESHOLD_FILE = HERE / "thresholds.json"
-PER_MINUTE = 1.0  # accepted false alarms per minute, averaged over motions
-WARNED_MS = 10  # least lead time of a warning when models are compared
+PER_MINUTE = (0.5, 1.0, 4.0)  # false alarms per minute, averaged over motions, at which warnings are compared
+AT_ONE = 1.0
+WARNED_MS = (10, 20)  # least lead times of warnings that are compared
 SPEEDS_N_S = (1.5, 4.0)  # limits of slow, usual and fast unloading: the paper's ramp unloads at 2.4 to 3.3 N/s
 Rows = dict[str, list[Row]]  # by motion
 
@@ -48,20 +46,20 @@ def slip_rows(rows: Rows) -> list[Row]:
     return [row for motion in SLIPS for row in rows.get(motion, []) if "unloading_n_s" in row]
 
 
-def false_per_minute(of_motion: Sequence[Row], score: str, rule: str) -> NDArray[np.float64]:
+def false_per_minute(of_motion: Sequence[Row], score: str) -> NDArray[np.float64]:
     """Return false alarms per minute of contact, (thresholds,)."""
     minutes = sum(row["minutes"] for row in of_motion)
-    counts = np.sum([row["scores"][score]["false"][rule] for row in of_motion], axis=0)
+    counts = np.sum([row["scores"][score]["false"] for row in of_motion], axis=0)
     rate: NDArray[np.float64] = counts / minutes
     return rate
 
 
-def mean_false(rows: Rows, score: str, rule: str) -> NDArray[np.float64]:
+def mean_false(rows: Rows, score: str) -> NDArray[np.float64]:
     """Return false alarms per minute of contact, averaged over motions, (thresholds,).
 
     Each value is the maximum over its own and all higher thresholds, so the rate never rises with the threshold.
     """
-    every = [false_per_minute(of_motion, score, rule) for of_motion in rows.values() if of_motion]
+    every = [false_per_minute(of_motion, score) for of_motion in rows.values() if of_motion]
     mean = np.mean(every, axis=0)
     lowest: NDArray[np.float64] = np.maximum.accumulate(mean[::-1])[::-1]
     return lowest
@@ -80,43 +78,35 @@ def timings(of_slips: Sequence[Row], score: str, at: int) -> NDArray[np.str_]:
     return np.array([timing(-1 if ms is None else ahead + ms, ahead) for ms in first])
 
 
-def choose_thresholds(rows: Rows, seed: int) -> None:
-    """Write THRESHOLD_FILE: for every oracle, the threshold for timing and, by rule, that for warnings.
-
-    The threshold for timing has the highest sum of correct timing and F1, as in the paper. The threshold for warnings
-    is the lowest with at most PER_MINUTE false alarms per minute, or the highest of all if none has so few.
-    """
+def choose_thresholds(rows: Rows) -> None:
+    """Write THRESHOLD_FILE: for every oracle, the threshold with the highest sum of correct timing and F1."""
     of_slips = slip_rows(rows)
     known = {}
     for score in names_of(rows):
-        merits = [
-            float((timings(of_slips, score, at) == "correct").mean()) + f1(of_slips, score, at)
-            for at in range(len(THRESHOLDS))
-        ]
-        chosen: Row = {"timing": THRESHOLDS[int(np.argmax(merits))]}
-        for rule in RULES:
-            within = np.flatnonzero(mean_false(rows, score, rule) <= PER_MINUTE)
-            chosen[rule] = THRESHOLDS[int(within[0])] if len(within) else THRESHOLDS[-1]
-        trials = {motion: len(of_motion) for motion, of_motion in rows.items()}
-        known[score] = {**chosen, "seed": seed, "trials": trials}
-    THRESHOLD_FILE.write_text(json.dumps(known, indent=1) + "\n")
+        if "dots" not in score:
+            merits = [
+                float((timings(of_slips, score, at) == "correct").mean()) + f1(of_slips, score, at)
+                for at in range(len(THRESHOLDS))
+            ]
+            known[score] = THRESHOLDS[int(np.argmax(merits))]
+    found = {"sizes": sizes_of(rows), "timing": known}
+    THRESHOLD_FILE.write_text(json.dumps(found, indent=1) + "\n")
 
 
-def thresholds() -> dict[str, Row]:
-    """Return the thresholds written by `choose_thresholds`."""
-    loaded: dict[str, Row] = json.loads(THRESHOLD_FILE.read_text())
-    return loaded
+def thresholds() -> dict[str, float]:
+    """Return the thresholds for timing written by `choose_thresholds`."""
+    loaded: dict[str, float] = json.loads(THRESHOLD_FILE.read_text())["timing"]
+    return {score: nearest(threshold) for score, threshold in loaded.items()}
 
 
-def thresholds_of(path: Path) -> Row:
-    """Return the thresholds in a model's file, in the form that `thresholds` has for each oracle."""
-    with StageFile(path, "model") as file:
-        chosen = int(file.read("checkpoint/chosen"))
-        timing_at, grasp_at = float(file.read("checkpoint/threshold")[chosen]), chosen_threshold(file)
-        curve = read_curve(file)
-        alarm_at = grasp_at if curve is None else curve.threshold_for(PER_MINUTE)
-    at = {"timing": timing_at, "grasp": grasp_at, **dict.fromkeys(RULES, alarm_at)}
-    return {name: nearest(threshold) for name, threshold in at.items()}
+def thresholds_of(models: Mapping[str, Path]) -> dict[str, float]:
+    """Return the thresholds for timing in the models' files, for each kind of dots."""
+    found: dict[str, float] = {}
+    for name, path in models.items():
+        with StageFile(path, "model") as file:
+            at = nearest(float(file.read("checkpoint/threshold")[int(file.read("checkpoint/chosen"))]))
+        found |= {f"{name}, {dots} dots": at for dots in DOTS}
+    return found
 
 
 def nearest(threshold: float) -> float:
@@ -132,23 +122,30 @@ def mean_of(values: NDArray[np.floating], clusters: Sequence[str]) -> Estimate:
     return mean
 
 
-def clusters_of(of_slips: Sequence[Row]) -> list[str]:
-    """Return each trial's cluster: its sensor if randomised, else its seed, since each trial has another object."""
-    return [row["sensor"] if row["sensor"] != "evetac" else str(row["seed"]) for row in of_slips]
+def clusters_of(of_slips: Sequence[Row], *, each_slip: bool = False) -> list[str]:
+    """Return each trial's cluster: its sensor if randomised, else its seed, since each trial has another object.
+
+    each_slip: return one for every slip of a trial.
+    """
+    return [
+        row["sensor"] if row["sensor"] != EVETAC else str(row["seed"])
+        for row in of_slips
+        for _ in range(row["slips"] if each_slip else 1)
+    ]
 
 
 def _share(flags: NDArray[np.bool_]) -> float | None:
     return float(flags.mean()) if len(flags) else None
 
 
-def timing_table(name: str, rows: Rows, chosen: Row, command: str) -> Row:
+def timing_table(name: str, rows: Rows, chosen: Mapping[str, float], command: str) -> Row:
     """Return the table of timing and F1 of every score at its threshold, for all slips and by unloading speed."""
     of_slips = slip_rows(rows)
     speed = np.array([row["unloading_n_s"] for row in of_slips])
     slow, fast = SPEEDS_N_S
     shown = []
-    for score in names_of(rows):
-        at = THRESHOLDS.index(chosen[score]["timing"])
+    for score in chosen:
+        at = THRESHOLDS.index(chosen[score])
         outcome = timings(of_slips, score, at)
         right = outcome == "correct"
         first = [row["scores"][score]["first_ms"][at] for row in of_slips]
@@ -202,24 +199,21 @@ def calibration_error(rows: Rows, score: str) -> float | None:
     )
 
 
-def paired_table(name: str, rows: Rows, chosen: Row, models: Sequence[str], command: str) -> Row:
+def paired_table(name: str, rows: Rows, chosen: Mapping[str, float], models: Iterable[str], command: str) -> Row:
     """Return the table of paired differences of each model from the oracle `ahead` with the same horizon.
 
     It also has each model's worst sensor and its calibration error.
     """
     of_slips = slip_rows(rows)
-    clusters = clusters_of(of_slips)
     shown = []
-    for model in models:
+    for model in (f"{one}, {DOTS[0]} dots" for one in models):
         horizon_ms = of_slips[0]["scores"][model]["horizon_ms"]
-        oracle = f"ahead {horizon_ms} ms"
-        both = (oracle, model)
-        right = [timings(of_slips, one, THRESHOLDS.index(chosen[one]["timing"])) == "correct" for one in both]
+        both = (f"ahead {horizon_ms} ms", model)
+        right = [timings(of_slips, one, THRESHOLDS.index(chosen[one])) == "correct" for one in both]
         row: Row = {"model": model, "slips": len(of_slips), "horizon_ms": horizon_ms}
-        row |= _difference("timing", *(one.astype(float) for one in right), clusters)
-        for rule in RULES:
-            warned = [leads(of_slips, one, rule, THRESHOLDS.index(chosen[one][rule]), most=1) for one in both]
-            row |= _difference(rule, *((one >= WARNED_MS).astype(float) for one in warned), clusters)
+        row |= _difference("timing", right, clusters_of(of_slips))
+        warned = [warned_values(rows, one, AT_ONE, WARNED_MS[0]) for one in both]
+        row |= _difference("warned", warned, clusters_of(of_slips, each_slip=True))
         by_sensor: dict[str, list[bool]] = {}
         for of_slip, one in zip(of_slips, right[1], strict=True):
             by_sensor.setdefault(of_slip["sensor"], []).append(bool(one))
@@ -229,19 +223,20 @@ def paired_table(name: str, rows: Rows, chosen: Row, models: Sequence[str], comm
         row["calibration_error"] = calibration_error(rows, model)
         shown.append(row)
     columns = {"detector": "{model}", "slips": "{slips}", "ahead [ms]": "{horizon_ms}"}
-    for heading, key in (("timing", "timing"), *((f"warned {WARNED_MS} ms ahead, {rule}", rule) for rule in RULES)):
+    for heading, key in (("timing", "timing"), (f"warned {WARNED_MS[0]} ms ahead", "warned")):
         columns[heading] = f"{{{key}:.3f}}"
         columns[f"oracle less that, {heading}"] = f"{{{key}_less:.3f}} ({{{key}_low:.2f}} to {{{key}_high:.2f}})"
     columns |= {"worst sensor": "{worst_sensor}: {worst_correct:.2f}", "calibration error": "{calibration_error:.3f}"}
     note = (
-        "Paired by trial; intervals of 95 % by sensor, and by object where trials share none. Worst: by timing."
-        f" Warnings at the thresholds of {PER_MINUTE:g} false alarm per minute on other trials."
+        "Paired by slip; intervals of 95 % by sensor, and by object where trials share none. Worst: by timing."
+        f" Warnings at {AT_ONE:g} false alarm per minute on these trials."
     )
     return table_of(name, "Slip detectors against an oracle", columns, shown, command, sizes_of(rows), notes=(note,))
 
 
-def _difference(key: str, oracle: NDArray[np.float64], model: NDArray[np.float64], clusters: Sequence[str]) -> Row:
+def _difference(key: str, both: Sequence[NDArray[Any]], clusters: Sequence[str]) -> Row:
     """Return the mean of a model, and the mean of the oracle minus the model with its confidence interval."""
+    oracle, model = (values.astype(float) for values in both)
     less = mean_of(oracle - model, clusters)
     return {key: float(model.mean()), f"{key}_less": less.value, f"{key}_low": less.low, f"{key}_high": less.high}
 
@@ -256,86 +251,141 @@ def sizes_of(rows: Rows) -> Row:
     }
 
 
-def leads(of_slips: Sequence[Row], score: str, rule: str, at: int, most: int | None = None) -> NDArray[np.float64]:
-    """Return the lead time of the warning of each slip, in ms, (slips,); minus infinity if there was no warning.
+def warned_values(rows: Rows, score: str, per_minute: float, least_ms: int) -> NDArray[np.float64]:
+    """Return how far each slip is warned of at least `least_ms` ahead, at `per_minute` false alarms per minute, 0 to 1.
 
-    at: index of the threshold; most: the number of slips used from each trial, starting with the first (None: all).
+    Between two thresholds it is interpolated linearly by their rates; 0 if the rate is exceeded at all thresholds.
     """
-    found = [ms for row in of_slips for ms in row["scores"][score]["leads_ms"][rule][at][:most]]
-    return np.array([-math.inf if ms is None else ms for ms in found])
+    rates = mean_false(rows, score)
+    above = int(np.argmax(rates <= per_minute)) if rates[-1] <= per_minute else len(rates)
+    if above == len(rates):
+        return np.zeros(sum(row["slips"] for row in slip_rows(rows)))
+    if above == 0:
+        return _warned(rows, score, 0, least_ms)
+    part = (per_minute - rates[above]) / (rates[above - 1] - rates[above])
+    lower, upper = (_warned(rows, score, at, least_ms) for at in (above - 1, above))
+    between: NDArray[np.float64] = part * lower + (1 - part) * upper
+    return between
 
 
-def warned_at(rows: Rows, score: str, rule: str, per_minute: float, least_ms: int) -> float:
-    """Return the share of slips with a warning at least `least_ms` ahead, at `per_minute` false alarms per minute.
+def _warned(rows: Rows, score: str, at: int, least_ms: int) -> NDArray[np.float64]:
+    leads = [ms for row in slip_rows(rows) for ms in row["scores"][score]["leads_ms"][at]]
+    return np.array([ms is not None and ms >= least_ms for ms in leads], np.float64)
 
-    The share is interpolated linearly between thresholds.
+
+def groups_of(rows: Rows, named: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
+    """Return the scores of each line of a table: the trainings of a detector together.
+
+    named: names of the trainings by detector.
     """
-    of_slips = slip_rows(rows)
-    # Rates never rise with the threshold, so they are reversed for np.interp. Among thresholds with equal rates, the
-    # lowest threshold is then the last.
-    rates = mean_false(rows, score, rule)
-    shares = [float((leads(of_slips, score, rule, at) >= least_ms).mean()) for at in range(len(THRESHOLDS))]
-    return float(np.interp(per_minute, rates[::-1], shares[::-1]))
-
-
-def shown_scores(rows: Rows) -> list[str]:
-    """Return the scores shown in tables of warnings; `share` has one, because it does not depend on the horizon."""
-    return [score for score in names_of(rows) if not score.startswith("share") or score == "share 0 ms"]
-
-
-def alarm_threshold(chosen: Row, rule: str) -> float:
-    """Return the threshold for warnings: a model's threshold for `grasp`, or an oracle's for PER_MINUTE."""
-    threshold: float = chosen.get("grasp", chosen[rule])
-    return threshold
-
-
-MEANS = {
-    "partial": f"less than {SLIP_SHARE:.0%} of the visible contact slips from {BEFORE_MS} ms before it to"
-    f" {AFTER_MS} ms after",
-    "gross": f"no gross slip follows within {FOLLOWS_MS} ms",
-}
-
-
-def warning_table(name: str, rows: Rows, chosen: Row, rule: str, command: str) -> Row:
-    """Return the table of the share of slips with a warning, by lead time, and of false alarms per minute."""
-    shown = []
-    for score in shown_scores(rows):
-        at = THRESHOLDS.index(alarm_threshold(chosen[score], rule))
-        row: Row = {"score": score, "threshold": THRESHOLDS[at]}
-        ahead = leads(slip_rows(rows), score, rule, at)
-        row |= {f"warned_{ms}_ms": float((ahead >= ms).mean()) for ms in LEADS_MS}
-        row |= {f"warned_{ms}_ms_at_one": warned_at(rows, score, rule, PER_MINUTE, ms) for ms in LEADS_MS}
-        row["false_per_min"] = float(np.mean([false_per_minute(of, score, rule)[at] for of in rows.values()]))
-        shown.append(row)
-    columns = {"detector": "{score}", "threshold": "{threshold:g}", "false alarms per minute": "{false_per_min:.2f}"}
-    columns |= {f"warned {ms} ms ahead": f"{{warned_{ms}_ms:.2f}}" for ms in LEADS_MS}
-    columns |= {
-        f"{ms} ms ahead, at {PER_MINUTE:g} false alarm per minute": f"{{warned_{ms}_ms_at_one:.2f}}" for ms in LEADS_MS
+    trainings = {
+        f"{detector}, {dots} dots": [f"{one} , {dots} dots".replace(" ,", ",") for one in every]
+        for detector, every in named.items()
+        for dots in DOTS
     }
+    known = {one for every in trainings.values() for one in every}
+    return {score: [score] for score in names_of(rows) if score not in known} | trainings
+
+
+MEANS = f"less than {MUCH_SLIPS:.0%} of the visible contact slips from {BEFORE_MS} ms before it to {AFTER_MS} ms after"
+
+
+def warning_table(name: str, rows: Rows, named: Mapping[str, Sequence[str]], command: str) -> Row:
+    """Return the table of the share of slips with a warning, by lead time and false alarms per minute."""
+    clusters = clusters_of(slip_rows(rows), each_slip=True)
+    shown = []
+    for line, scores in groups_of(rows, named).items():
+        row: Row = {"score": line, "slips": len(clusters), "trainings": len(scores)}
+        for per_minute in PER_MINUTE:
+            for ms in WARNED_MS:
+                every = np.array([warned_values(rows, score, per_minute, ms) for score in scores])
+                mean, key = mean_of(every.mean(axis=0), clusters), f"warned_{ms}_ms_at_{per_minute:g}"
+                row |= {key: mean.value, f"{key}_low": mean.low, f"{key}_high": mean.high}
+                of_trainings = every.mean(axis=1)
+                row |= {f"{key}_worst": float(of_trainings.min()), f"{key}_best": float(of_trainings.max())}
+        shown.append(row)
+    columns = {"detector": "{score}", "trainings": "{trainings}", "slips": "{slips}"}
+    for per_minute in PER_MINUTE:
+        for ms in WARNED_MS:
+            key = f"warned_{ms}_ms_at_{per_minute:g}"
+            columns[f"{ms} ms ahead, {per_minute:g} per minute"] = (
+                f"{{{key}:.2f}} ({{{key}_low:.2f}} to {{{key}_high:.2f}})"
+            )
+    key = f"warned_{WARNED_MS[0]}_ms_at_{AT_ONE:g}"
+    columns[f"trainings, {WARNED_MS[0]} ms ahead, {AT_ONE:g} per minute"] = f"{{{key}_worst:.2f}} to {{{key}_best:.2f}}"
     note = (
-        f"False alarm: {MEANS[rule]}. An alarm is {ALARM_SLICES} slices in a row; the next counts 200 ms later."
-        f" False alarms are per minute of contact, averaged over {len(rows)} motions. Detectors are read at the"
-        f" threshold of `grasp`, oracles at that of {PER_MINUTE:g} per minute on other trials. The last columns are"
-        " read from the curve of these trials."
+        f"Share of slips warned of, at equal false alarms per minute of contact, averaged over {len(rows)} motions. An"
+        f" alarm is {ALARM_SLICES} slices in a row; the next counts {APART_MS} ms later. It is false if {MEANS}. The"
+        " threshold is read from the curve of these trials. Intervals of 95 % over slips, by sensor, and by object"
+        " where trials share no sensor."
     )
-    title = f"Warnings before slip; an alarm is false if {MEANS[rule]}"
+    return table_of(name, "Warnings before slip", columns, shown, command, sizes_of(rows), notes=(note,))
+
+
+def motions_table(name: str, rows: Rows, named: Mapping[str, Sequence[str]], command: str) -> Row:
+    """Return the table of false alarms per minute and of slips warned of, by motion and by kind of sensor."""
+    groups = {line: scores for line, scores in groups_of(rows, named).items() if "true dots" not in line}
+    at = {
+        score: min(int(np.searchsorted(-mean_false(rows, score), -AT_ONE)), len(THRESHOLDS) - 1)
+        for scores in groups.values()
+        for score in scores
+    }
+    parts = {motion: {motion: of_motion} for motion, of_motion in rows.items()}
+    for kind, is_of in (("sensor evetac", True), ("random sensors", False)):
+        parts[kind] = {motion: [row for row in of if (row["sensor"] == EVETAC) == is_of] for motion, of in rows.items()}
+    shown = []
+    for part, some in parts.items():
+        slips = len(clusters_of(slip_rows(some), each_slip=True))
+        row: Row = {"part": part, "minutes": sum(one["minutes"] for of in some.values() for one in of), "slips": slips}
+        for line, scores in groups.items():
+            false = [[false_per_minute(of, score)[at[score]] for of in some.values() if of] for score in scores]
+            warned = [_warned(some, score, at[score], WARNED_MS[0]) for score in scores]
+            row[f"{line} false"] = float(np.mean(false))
+            row[f"{line} warned"] = float(np.mean(warned)) if slips else None
+        shown.append(row)
+    columns = {"motion or sensor": "{part}", "minutes of contact": "{minutes:.1f}", "slips": "{slips}"}
+    columns |= {line: f"{{{line} false:.2f}} / {{{line} warned:.2f}}" for line in groups}
+    note = (
+        f"False alarms per minute, and share of slips warned of {WARNED_MS[0]} ms ahead, at the lowest threshold with"
+        f" at most {AT_ONE:g} false alarm per minute over all motions and sensors. An alarm is false if {MEANS}."
+    )
+    title = "False alarms and warnings of each motion and kind of sensor"
     return table_of(name, title, columns, shown, command, sizes_of(rows), notes=(note,))
 
 
-def motions_table(name: str, rows: Rows, chosen: Row, scores: Sequence[str], command: str) -> Row:
-    """Return the table of false alarms per minute in each motion, by both rules, for the given scores."""
+def stated_table(name: str, rows: Rows, models: Mapping[str, Path], command: str) -> Row:
+    """Return the table of the false alarms per minute that a model's file states and of those on these trials."""
     shown = []
-    for motion, of_motion in rows.items():
-        row: Row = {"motion": motion, "minutes": sum(one["minutes"] for one in of_motion)}
-        for score in scores:
-            for rule in RULES:
-                row[f"{score} {rule}"] = float(
-                    false_per_minute(of_motion, score, rule)[THRESHOLDS.index(alarm_threshold(chosen[score], rule))]
-                )
-        shown.append(row)
-    columns = {"motion": "{motion}", "minutes of contact": "{minutes:.1f}"}
-    columns |= {score: f"{{{score} {RULES[0]}:.2f}} / {{{score} {RULES[1]}:.2f}}" for score in scores}
-    note = f"First: false if {MEANS[RULES[0]]}; second: if {MEANS[RULES[1]]}. Thresholds as above."
-    return table_of(
-        name, "False alarms per minute of each motion", columns, shown, command, sizes_of(rows), notes=(note,)
+    for model, path in models.items():
+        with StageFile(path, "model") as file:
+            curve = read_curve(file)
+        assert curve is not None
+        score = f"{model}, {DOTS[0]} dots"
+        for per_minute in PER_MINUTE:
+            threshold = nearest(curve.threshold_for(per_minute))
+            at = THRESHOLDS.index(threshold)
+            by_motion = {motion: float(false_per_minute(of, score)[at]) for motion, of in rows.items()}
+            worst = max(by_motion, key=lambda motion: by_motion[motion])
+            row: Row = {"model": model, "stated": per_minute, "threshold": threshold}
+            row |= {"measured": float(np.mean([*by_motion.values()])), "worst": worst, "of_worst": by_motion[worst]}
+            for kind, is_of in (("evetac", True), ("random", False)):
+                some = [[one for one in of if (one["sensor"] == EVETAC) == is_of] for of in rows.values()]
+                row[kind] = float(np.mean([false_per_minute(of, score)[at] for of in some if of]))
+            row["warned"] = float(_warned(rows, score, at, WARNED_MS[0]).mean())
+            shown.append(row)
+    columns = {
+        "training": "{model}",
+        "stated per minute": "{stated:g}",
+        "threshold": "{threshold:.3f}",
+        "measured per minute": "{measured:.2f}",
+        "sensor evetac": "{evetac:.2f}",
+        "random sensors": "{random:.2f}",
+        "worst motion": "{worst}: {of_worst:.1f}",
+        f"warned {WARNED_MS[0]} ms ahead": "{warned:.2f}",
+    }
+    note = (
+        "Stated: in the model's file, from the trials that chose its checkpoint and threshold, all motions together."
+        f" Measured: mean over motions on other objects and sensors. An alarm is false if {MEANS}."
     )
+    title = "Stated and measured false alarms per minute"
+    return table_of(name, title, columns, shown, command, sizes_of(rows), notes=(note,))

@@ -1,10 +1,10 @@
 """Evaluate one trial: alarms, lead times, timing and F1 of every score at every threshold, as one row.
 
-A score is an oracle's, or the probability of a slip detector that sees the trial through camera and tracker.
+A score is an oracle's, or the probability of a slip detector, from the dots of the tracker or from true ones.
 """
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,34 +12,45 @@ from typing import Any
 import numpy as np
 
 from evetac_cli.arrays import Singles
-from evetac_cli.errors import SceneError
 from evetac_cli.evaluate.slip import warnings as slip_warnings
-from evetac_cli.evaluate.slip.warnings import RULES
+from evetac_cli.evaluate.slip.models import Model
 from evetac_cli.jobs import Row
 from evetac_cli.kernels.slip import alarms, metrics
+from evetac_cli.kernels.slip.detector import over_each
 from evetac_cli.kernels.slip.metrics import F1_CUT_MS, is_slip, shift_labels
 from evetac_cli.kernels.slip.reliability import ABOVE
 from scripts.studies import motions
 from scripts.studies.motions import EVETAC, Planned, Trial
-from scripts.studies.rows import add_rows, rows_in
 from scripts.studies.slip import oracles as slip_oracles
+from scripts.studies.slip import seen as slip_seen
+from scripts.studies.slip.seen import SeenTrial
 
-# Thresholds are denser near 0 and 1, where the rare scores differ.
-THRESHOLDS = (
-    *(0.005, 0.01, 0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.75, 0.8, 0.85, 0.9),
-    *(0.925, 0.95, 0.96, 0.97, 0.98, 0.985, 0.99, 0.995, 0.998, 0.999),
-)
+THRESHOLDS: tuple[float, ...] = tuple(alarms.THRESHOLDS[::2].tolist())
 SLIPS = ("slip", "slip-varied", "slip-speeds")  # motions with an onset for the evaluation of timing
 RAMP_MS = 900  # in these motions, the time before the onset is ignored, because the weight is being transferred
 SENSORS = 20
 SPEED_MS = 300  # ms before slip, over which the unloading speed is measured
+MOST_TRIALS = 100_000
 Scores = Mapping[str, tuple[Singles, int]]  # probability of each slice by name, and its horizon in ms
 
 
 def oracle_scores(trial: Trial) -> dict[str, tuple[Singles, int]]:
-    """Return the scores of the oracles, each for each horizon."""
-    pairs = itertools.product(slip_oracles.ORACLES, slip_oracles.HORIZONS_MS)
-    return {f"{name} {ms} ms": (slip_oracles.score(trial, name, ms), ms) for name, ms in pairs}
+    """Return the scores of the oracles, each for each horizon; the share has one, because it knows only the present."""
+    pairs = itertools.product(slip_oracles.ORACLES[1:], slip_oracles.HORIZONS_MS)
+    every = {f"{name} {ms} ms": (slip_oracles.score(trial, name, ms), ms) for name, ms in pairs}
+    return {"share": (slip_oracles.score(trial, "share"), 0)} | every
+
+
+def scores_of(one: SeenTrial, models: Mapping[str, Model]) -> dict[str, tuple[Singles, int]]:
+    """Return the scores of the oracles, and by kind of dots those of the sticking network and of models with memory."""
+    assert one.trial is not None
+    scores = oracle_scores(one.trial)
+    for dots, view in one.views.items():
+        scores[f"sticking share, {dots} dots"] = 1 - view.sticking_share, 0
+        scores[f"slip has begun, {dots} dots"] = view.slip_begun, 0
+        for name, model in models.items():
+            scores[f"{name}, {dots} dots"] = over_each([model.detector()], view.path)[0], model.horizon_ms
+    return scores
 
 
 def planned_at(
@@ -65,8 +76,8 @@ def judged(motion: str, trial: Trial, scores: Scores) -> Row:
     """Return the results of every score in a trial: counts by threshold."""
     held = trial.normal_n > 0.0
     slips = trial.slips & held
-    row: Row = {"minutes": round(float(held.sum()) / 60_000, 5), "slips": len(slip_warnings.slip_begins(slips))}
     begins = slip_warnings.slip_begins(slips)
+    row: Row = {"minutes": minutes_of(trial), "slips": len(begins)}
     if motion in SLIPS and begins and begins[0] >= RAMP_MS:
         before = trial.normal_n[max(begins[0] - SPEED_MS, 0) : begins[0]]
         row["unloading_n_s"] = round(float(before[0] - before[-1]) / (1e-3 * len(before)), 3)
@@ -78,12 +89,13 @@ def judged(motion: str, trial: Trial, scores: Scores) -> Row:
 
 def _counted(motion: str, trial: Trial, score: Singles, horizon_ms: int, slips: Any) -> Row:
     held = trial.normal_n > 0.0
-    every = [slip_warnings.judge(alarms.alarming(score, at) & held, trial.slip_share, slips) for at in THRESHOLDS]
+    level = alarms.levels(score)
+    every = [slip_warnings.judge(is_slip(level, at) & held, trial.slip_share, slips) for at in THRESHOLDS]
     counted: Row = {
         "horizon_ms": horizon_ms,
         "calibration": _calibration(trial, score, horizon_ms, slips),
-        "false": {rule: [one.false[rule] for one in every] for rule in RULES},
-        "leads_ms": {rule: [one.leads_ms[rule] for one in every] for rule in RULES},
+        "false": [one.false for one in every],
+        "leads_ms": [one.leads_ms for one in every],
     }
     begins = slip_warnings.slip_begins(slips)
     if motion not in SLIPS or not begins or begins[0] < RAMP_MS:
@@ -116,34 +128,31 @@ def _calibration(trial: Trial, score: Singles, horizon_ms: int, slips: Any) -> l
     return [[round(float(value), 2) for value in column] for column in columns]
 
 
-def rows_of(
-    path: Path, motion: str, trials: Iterator[tuple[int, Planned]], seed: int, minutes: float, most: int,
-    play: Callable[[Planned, int], tuple[Trial, Scores]],
-) -> list[Row]:  # fmt: skip
-    """Return the rows of a motion until its trials reach the minutes or the number, from the file if they exist.
+def minutes_of(trial: Trial) -> float:
+    """Return the minutes in which the object is held."""
+    return round(float((trial.normal_n > 0.0).sum()) / 60_000, 5)
 
-    A trial that the simulator refuses leaves a row with the reason, which is not returned. SystemExit if the file has
-    rows of other trials.
+
+def see(
+    folder: Path, motion: str, trials: Iterator[tuple[int, Planned]], seed: int, minutes: float, most: int = MOST_TRIALS
+) -> int:
+    """Simulate trials of a motion until they reach the minutes or the number; return the number of those not refused.
+
+    Existing files are not made again. SystemExit if a file has another trial.
     """
-    known = rows_in(path)
-    rows: list[Row] = []
+    so_far, count = 0.0, 0
     for place, (number, planned) in enumerate(trials):
-        judged_so_far = [row for row in rows if "refused" not in row]
-        if sum(row["minutes"] for row in judged_so_far) >= minutes or len(judged_so_far) >= most:
-            return judged_so_far
+        if so_far >= minutes or count >= most:
+            break
         row: Row = {"object": number, "seed": seed + place, "sensor": planned.plan.sensor_name}
-        if place < len(known):
-            there = {key: known[place].get(key) for key in row}
-            if there != row:
-                raise SystemExit(
-                    f"{path}, line {place + 1}: expected {row}, found {there}; name another folder with --rows"
-                )
-            rows.append(known[place])
-            continue
-        try:
-            row |= judged(motion, *play(planned, seed + place))
-        except SceneError as error:  # a heavy object would compress a soft gel beyond the layer's limit
-            row["refused"] = error.message
-        rows.append(row)
-        add_rows(path, [row])
-    raise ValueError(f"{motion}: expected more than {len(rows)} trials for {minutes:g} minutes or {most} trials")
+        path = folder / motion / f"{place:05d}.npz"
+        if path.exists():
+            one = slip_seen.read(path)
+            if there := {key: one.row[key] for key in row if one.row[key] != row[key]}:
+                raise SystemExit(f"{path}: expected {row}, found {there}; name another folder")
+        else:
+            one = slip_seen.seen(motion, row, planned, seed + place)
+            slip_seen.write(path, one)
+        if one.trial is not None:
+            so_far, count = so_far + minutes_of(one.trial), count + 1
+    return count
