@@ -217,7 +217,7 @@ class AlarmCounts(NamedTuple):
 
 
 def judge(alarming: Flags, share: Singles, slips: Flags) -> AlarmCounts:
-    """Classify alarms by the true slipping share of the contact, and compare them with gross slip; all are (slices,)."""
+    """Classify alarms (slices,) by the true slipping share of the contact, and compare them with gross slip."""
     slips_at = slip_begins(slips)
     slides = slips.copy()  # slices at which an alarm would be late
     for begin in slips_at:

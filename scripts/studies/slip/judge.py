@@ -3,7 +3,8 @@
 `python scripts/studies/slip/judge.py see FOLDER --seed 73000 --minutes 3 --trials 300` simulates each motion, one file
 per trial (seen.py), which takes hours; existing files are not made again. `--objects choose` takes the objects for
 choosing thresholds. `... choose FOLDER` writes the oracles' thresholds for timing (thresholds.json). `... judge FOLDER
---model NAME=FILE ...` writes tables; models of one name are trainings of one detector.
+--model NAME=FILE ...` writes tables; models of one name are trainings of one detector. Networks over dots are given to
+`see` instead.
 """
 
 import argparse
@@ -64,11 +65,12 @@ def rows_of(folder: Path, models: dict[str, Path], jobs: int) -> Rows:
 
 def see(chosen: argparse.Namespace, names: Sequence[str]) -> None:
     """Simulate the trials of each motion."""
+    models = {name: Model.read(Path(path)) for name, _, path in (given.partition("=") for given in chosen.model)}
     for motion in names:
         counted = chosen.trials if motion == "slip-speeds" else 0
         limits = (float("inf"), counted) if counted else (chosen.minutes,)
         plans = (planned_at(motion, OBJECTS[chosen.objects], chosen.seed, at, chosen.seed) for at in itertools.count())
-        count = slip_trials.see(chosen.folder, motion, plans, chosen.seed, *limits)
+        count = slip_trials.see(chosen.folder, motion, plans, chosen.seed, models, *limits)
         sys.stdout.write(f"{motion}: {count} trials\n")
         sys.stdout.flush()
 
@@ -77,8 +79,10 @@ def judge(chosen: argparse.Namespace) -> None:
     """Write the tables."""
     named: dict[str, list[str]] = {}
     models = {}
-    for name, _, path in (given.partition("=") for given in chosen.model):
-        named.setdefault(name, []).append(f"{name} {len(named.get(name, ())) + 1}")
+    given = [one.partition("=")[::2] for one in chosen.model]
+    for name, path in given:
+        several = [other for other, _ in given].count(name) > 1
+        named.setdefault(name, []).append(f"{name} {len(named.get(name, ())) + 1}" if several else name)
         models[named[name][-1]] = Path(path)
     rows = rows_of(chosen.folder, models, chosen.jobs)
     words = f" --model {models_in_words(chosen.model)}" if models else ""
@@ -105,7 +109,9 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=0, help="see: number of slip-speeds trials, instead of minutes")
     parser.add_argument("--motions", default="", help="see: only these, for example pushes,jerks")
     parser.add_argument("--objects", choices=tuple(OBJECTS), default="judge", help="see: which objects")
-    parser.add_argument("--model", nargs="*", default=[], metavar="NAME=FILE", help="judge: detectors with memory")
+    parser.add_argument(
+        "--model", nargs="*", default=[], metavar="NAME=FILE", help="see: networks over dots; judge: load-path"
+    )
     parser.add_argument("--name", default="slip-detectors", help="judge: name of the tables")
     parser.add_argument("--out", type=Path, default=RESULTS, help="judge: folder of the tables")
     parser.add_argument("--jobs", type=int, default=1, help="choose, judge: trials evaluated at the same time")

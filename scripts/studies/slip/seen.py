@@ -1,7 +1,8 @@
 """Keep trials as slip detectors see them, one file per trial: load path of tracked and of true dots, and the truth.
 
 Simulating trials with a camera takes hours, evaluating detectors on the files minutes (judge.py). The tracker is
-`stable`, and the load paths of tracked dots equal those of `track` and `featurize`, bit for bit.
+`stable`, and the load paths of tracked dots equal those of `track` and `featurize`, bit for bit. Networks over dots run
+while a trial is simulated, because their inputs are too large to keep.
 """
 
 import json
@@ -13,9 +14,11 @@ import numpy as np
 
 from evetac_cli.arrays import Floats, Singles
 from evetac_cli.errors import SceneError
+from evetac_cli.evaluate.slip.models import Model
 from evetac_cli.events import Events
-from evetac_cli.kernels.slip import features, load_path
-from evetac_cli.kernels.slip.architectures import sensitivity_of
+from evetac_cli.kernels.slip import features, inputs, load_path
+from evetac_cli.kernels.slip.architectures import DotArchitecture, sensitivity_of
+from evetac_cli.kernels.slip.detector import over_each
 from evetac_cli.kernels.slip.inputs import known_at_start
 from evetac_cli.kernels.slip.load_path import LoadPath
 from evetac_cli.kernels.tracking import tracker
@@ -41,12 +44,16 @@ class View(NamedTuple):
 
 
 class SeenTrial(NamedTuple):
-    """A trial of a motion with its truth, without its dots, and its views by kind of dots."""
+    """A trial of a motion: its truth without dots, its views by kind of dots, and scores of networks over dots.
+
+    row: object, seed, sensor, and `refused`: why it was not simulated.
+    """
 
     motion: str
-    row: dict[str, Any]  # object, seed, sensor, and `refused`: why it was not simulated
+    row: dict[str, Any]
     trial: Trial | None
     views: dict[str, View]
+    scores: dict[str, tuple[Singles, int]]  # probability of each slice, and the horizon in ms
 
 
 class Seen:
@@ -117,15 +124,30 @@ class Seen:
         none_lost = np.zeros(trial.dot_px.shape[:2], np.bool_)
         return {"tracked": self.view(self.dot_px, self._lost), "true": self.view(trial.dot_px, none_lost)}
 
+    def scores(self, models: Mapping[str, Model], sticking_share: Singles) -> dict[str, tuple[Singles, int]]:
+        """Return the probabilities by networks over dots, and their horizons."""
+        dot_px, found = self.dot_px, {}
+        moved, moved_xy = features.displacement(dot_px, self.rest_px), features.displacement_xy(dot_px, self.rest_px)
+        for name, model in models.items():
+            assert isinstance(model.architecture, DotArchitecture)
+            factors = model.architecture.factors(sensitivity_of(self.sensor))
+            dots = features.series(moved, np.array(self._events), moved_xy, factors)
+            position, goal_ticks, goal_ma = self.gripper()
+            extras = inputs.extra_columns(len(dot_px), position, goal_ticks, goal_ma, sticking_share)
+            series = inputs.DotsAndExtras(dots, extras) if model.architecture.extras else dots
+            found[name] = over_each([model.detector()], series)[0], model.horizon_ms
+        return found
 
-def seen(motion: str, row: dict[str, Any], planned: Planned, seed: int) -> SeenTrial:
+
+def seen(motion: str, row: dict[str, Any], planned: Planned, seed: int, models: Mapping[str, Model]) -> SeenTrial:
     """Simulate a trial with a camera; one that the simulator refuses has no truth and no views."""
     eye = Seen()
     try:
         trial = motions.played(planned, seed, eye.see)
     except SceneError as error:  # a heavy object would compress a soft gel beyond the layer's limit
-        return SeenTrial(motion, row | {"refused": error.message}, None, {})
-    return SeenTrial(motion, row, trial, eye.views(trial))
+        return SeenTrial(motion, row | {"refused": error.message}, None, {}, {})
+    views = eye.views(trial)
+    return SeenTrial(motion, row, trial, views, eye.scores(models, views["tracked"].sticking_share))
 
 
 def write(path: Path, one: SeenTrial) -> None:
@@ -136,6 +158,7 @@ def write(path: Path, one: SeenTrial) -> None:
     for dots, view in one.views.items():
         arrays |= {f"{dots}/numbers": view.path.numbers, f"{dots}/touches": view.path.touches}
         arrays |= {f"{dots}/sticking_share": view.sticking_share, f"{dots}/slip_begun": view.slip_begun}
+    arrays |= {f"score/{name}/{horizon_ms}": score for name, (score, horizon_ms) in one.scores.items()}
     path.parent.mkdir(parents=True, exist_ok=True)
     with taking_the_place_of(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **arrays)
@@ -147,14 +170,16 @@ def read(path: Path) -> SeenTrial:
         row = json.loads(str(arrays["row"]))
         views: dict[str, View] = {}
         if "refused" in row:
-            return SeenTrial(path.parent.name, row, None, views)
+            return SeenTrial(path.parent.name, row, None, views, {})
         nowhere = np.empty((len(arrays["slips"]), 0, 2), np.float32)
         truth = {name: arrays[name] for name in TRUTH}
         trial = Trial(dot_px=nowhere, rest_px=np.empty((0, 2)), mm_per_px=1.0, frame_px=(1, 1), **truth)
         for dots in DOTS:
             path_of = LoadPath(arrays[f"{dots}/numbers"], arrays[f"{dots}/touches"], len(trial.slips))
             views[dots] = View(path_of, arrays[f"{dots}/sticking_share"], arrays[f"{dots}/slip_begun"])
-        return SeenTrial(path.parent.name, row, trial, views)
+        kept = [(name.split("/"), arrays[name]) for name in arrays.files if name.startswith("score/")]
+        scores = {name: (score, int(horizon_ms)) for (_, name, horizon_ms), score in kept}
+        return SeenTrial(path.parent.name, row, trial, views, scores)
 
 
 def trials_in(folder: Path, motion: str) -> Iterator[SeenTrial]:

@@ -144,7 +144,7 @@ def timing_table(name: str, rows: Rows, chosen: Mapping[str, float], command: st
     speed = np.array([row["unloading_n_s"] for row in of_slips])
     slow, fast = SPEEDS_N_S
     shown = []
-    for score in chosen:
+    for score in (one for one in names_of(rows) if one in chosen):
         at = THRESHOLDS.index(chosen[score])
         outcome = timings(of_slips, score, at)
         right = outcome == "correct"
@@ -278,13 +278,15 @@ def groups_of(rows: Rows, named: Mapping[str, Sequence[str]]) -> dict[str, list[
 
     named: names of the trainings by detector.
     """
+    there = names_of(rows)
     trainings = {
-        f"{detector}, {dots} dots": [f"{one} , {dots} dots".replace(" ,", ",") for one in every]
+        f"{detector}, {dots} dots": [f"{one}, {dots} dots" for one in every]
         for detector, every in named.items()
         for dots in DOTS
+        if f"{every[0]}, {dots} dots" in there
     }
     known = {one for every in trainings.values() for one in every}
-    return {score: [score] for score in names_of(rows) if score not in known} | trainings
+    return {score: [score] for score in there if score not in known} | trainings
 
 
 MEANS = f"less than {MUCH_SLIPS:.0%} of the visible contact slips from {BEFORE_MS} ms before it to {AFTER_MS} ms after"

@@ -23,7 +23,7 @@ from scripts.studies import motions
 from scripts.studies.motions import EVETAC, Planned, Trial
 from scripts.studies.slip import oracles as slip_oracles
 from scripts.studies.slip import seen as slip_seen
-from scripts.studies.slip.seen import SeenTrial
+from scripts.studies.slip.seen import DOTS, SeenTrial
 
 THRESHOLDS: tuple[float, ...] = tuple(alarms.THRESHOLDS[::2].tolist())
 SLIPS = ("slip", "slip-varied", "slip-speeds")  # motions with an onset for the evaluation of timing
@@ -42,13 +42,16 @@ def oracle_scores(trial: Trial) -> dict[str, tuple[Singles, int]]:
 
 
 def scores_of(one: SeenTrial, models: Mapping[str, Model]) -> dict[str, tuple[Singles, int]]:
-    """Return the scores of the oracles, and by kind of dots those of the sticking network and of models with memory."""
+    """Return the scores of the oracles, and by kind of dots those of the sticking network and of models with memory.
+
+    The scores that the trial has of networks over dots are of tracked dots.
+    """
     assert one.trial is not None
-    scores = oracle_scores(one.trial)
+    scores = oracle_scores(one.trial) | {f"{name}, {DOTS[0]} dots": score for name, score in one.scores.items()}
     for dots, view in one.views.items():
         scores[f"sticking share, {dots} dots"] = 1 - view.sticking_share, 0
         scores[f"slip has begun, {dots} dots"] = view.slip_begun, 0
-        for name, model in models.items():
+        for name, model in ((name, model) for name, model in models.items() if name not in one.scores):
             scores[f"{name}, {dots} dots"] = over_each([model.detector()], view.path)[0], model.horizon_ms
     return scores
 
@@ -134,8 +137,9 @@ def minutes_of(trial: Trial) -> float:
 
 
 def see(
-    folder: Path, motion: str, trials: Iterator[tuple[int, Planned]], seed: int, minutes: float, most: int = MOST_TRIALS
-) -> int:
+    folder: Path, motion: str, trials: Iterator[tuple[int, Planned]], seed: int, models: Mapping[str, Model],
+    minutes: float, most: int = MOST_TRIALS,
+) -> int:  # fmt: skip
     """Simulate trials of a motion until they reach the minutes or the number; return the number of those not refused.
 
     Existing files are not made again. SystemExit if a file has another trial.
@@ -151,7 +155,7 @@ def see(
             if there := {key: one.row[key] for key in row if one.row[key] != row[key]}:
                 raise SystemExit(f"{path}: expected {row}, found {there}; name another folder")
         else:
-            one = slip_seen.seen(motion, row, planned, seed + place)
+            one = slip_seen.seen(motion, row, planned, seed + place, models)
             slip_seen.write(path, one)
         if one.trial is not None:
             so_far, count = so_far + minutes_of(one.trial), count + 1

@@ -1,15 +1,17 @@
 """What slips are warned of, at which price: alarms, oracles, and the tables made of judged trials."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from evetac_cli.errors import SceneError
+from evetac_cli.kernels.slip.load_path import LoadPath
 from scripts.studies.motions import MOTIONS, Trial
-from scripts.studies.slip import oracles
+from scripts.studies.slip import oracles, seen
 from scripts.studies.slip import tables as slip_tables
 from scripts.studies.slip import trials as slip_trials
+from scripts.studies.slip.seen import SeenTrial, View
 
 MS = 3000
 ONSET = 2000
@@ -37,39 +39,54 @@ def test_oracles_know_when_it_slips() -> None:
             assert np.array_equal(score[:ONSET], oracles.score(cut, oracle, horizon_ms))
 
 
-def test_rows_are_kept_and_tables_made_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a judged trial is not played again, and that thresholds and tables follow from the rows."""
+def seen_trial(motion: str, row: dict[str, Any]) -> SeenTrial:
+    """A contact that the sticking network sees slip 30 ms late in true dots, and 80 ms late in tracked ones."""
+    made = trial()
+    path = LoadPath(np.zeros((MS // 5, 20), np.float32), np.ones(MS // 5, np.bool_), MS)
+    late = {dots: np.pad(made.slip_share, (ms, 0))[:MS] for dots, ms in (("tracked", 80), ("true", 30))}
+    return SeenTrial(motion, row, made, {dots: View(path, 1 - share, share) for dots, share in late.items()}, {})
+
+
+def test_trials_are_kept_and_tables_made_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Assert that a trial is not simulated again, one refused is left out, and tables follow from the rest."""
     monkeypatch.setattr(slip_tables, "THRESHOLD_FILE", tmp_path / "thresholds.json")
-    played = []
+    simulated = []
 
-    def play(planned: slip_trials.Planned, seed: int) -> tuple[Trial, slip_trials.Scores]:
-        played.append(seed)
-        return trial(), slip_trials.oracle_scores(trial())
+    def simulate(motion: str, row: dict[str, Any], *_: Any) -> SeenTrial:
+        simulated.append(row["seed"])
+        if row["seed"] == 101 and motion == "pushes":
+            return SeenTrial(motion, row | {"refused": "too heavy"}, None, {}, {})
+        return seen_trial(motion, row)
 
-    rows = {}
+    monkeypatch.setattr(seen, "seen", simulate)
     for motion in ("slip-speeds", "pushes"):
         plans = [slip_trials.planned_at(motion, (4, 7), 100, place, 100) for place in range(4)]
         assert [number for number, _ in plans] == [4, 4, 7, 7]
         for _ in range(2):
-            given = (tmp_path / motion, motion, iter(plans), 100, 99.0, 2, play)
-            rows[motion] = slip_trials.rows_of(*given)
-    assert played == [100, 101, 100, 101]
-
-    def refuse(planned: slip_trials.Planned, seed: int) -> tuple[Trial, slip_trials.Scores]:
-        if seed == 100:
-            raise SceneError("too heavy")
-        return play(planned, seed)
-
-    plans = [slip_trials.planned_at("grip", (4, 7), 100, place, 100) for place in range(4)]
-    for _ in range(2):
-        left = slip_trials.rows_of(tmp_path / "grip", "grip", iter(plans), 100, 99.0, 2, refuse)
-        assert [row["seed"] for row in left] == [101, 102]
-    with pytest.raises(SystemExit, match="grip, line 1: expected .*'seed': 900.* found .*'seed': 100"):
-        slip_trials.rows_of(tmp_path / "grip", "grip", iter(plans), 900, 99.0, 2, refuse)
-    slip_tables.choose_thresholds(rows, 100)
+            assert slip_trials.see(tmp_path, motion, iter(plans), 100, {}, 99.0, 2) == 2
+    assert simulated == [100, 101, 100, 101, 102]
+    with pytest.raises(SystemExit, match=r"00000\.npz: expected .*'seed': 900.* found .*'seed': 100"):
+        slip_trials.see(tmp_path, "pushes", iter(plans), 900, {}, 99.0, 2)
+    rows = {
+        motion: [
+            one.row | slip_trials.judged(motion, one.trial, slip_trials.scores_of(one, {}))
+            for one in seen.trials_in(tmp_path, motion)
+            if one.trial is not None
+        ]
+        for motion in ("slip-speeds", "pushes")
+    }
+    assert [row["seed"] for row in rows["pushes"]] == [100, 102]
+    slip_tables.choose_thresholds(rows)
     timing = slip_tables.timing_table("a", rows, slip_tables.thresholds(), "command")
     ahead = next(row for row in timing["rows"] if row["score"] == "ahead 10 ms")
     assert (ahead["slips"], ahead["correct"], ahead["late"]) == (2, 1.0, 0.0)
+    warned = {row["score"]: row for row in slip_tables.warning_table("b", rows, {}, "command")["rows"]}
+    tracked, true = (warned[f"slip has begun, {dots} dots"] for dots in ("tracked", "true"))
+    assert (true["warned_10_ms_at_1"], true["warned_20_ms_at_1"]) == (1.0, 1.0)
+    assert (tracked["warned_10_ms_at_1"], tracked["warned_20_ms_at_1"], tracked["slips"]) == (1.0, 0.0, 2)
+    parts = {row["part"]: row for row in slip_tables.motions_table("c", rows, {}, "command")["rows"]}
+    assert parts["slip-speeds"]["slip has begun, tracked dots warned"] == 1.0
+    assert parts["pushes"]["slips"] == 0 and parts["random sensors"]["slips"] == 1
 
 
 def test_motions_for_training_leave_some_for_the_judge() -> None:
