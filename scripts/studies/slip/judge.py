@@ -10,6 +10,8 @@ choosing thresholds. `... choose FOLDER` writes the oracles' thresholds for timi
 import argparse
 import functools
 import itertools
+import json
+import lzma
 import multiprocessing
 import sys
 from collections.abc import Sequence
@@ -76,7 +78,7 @@ def see(chosen: argparse.Namespace, names: Sequence[str]) -> None:
 
 
 def judge(chosen: argparse.Namespace) -> None:
-    """Write the tables."""
+    """Write the tables and their rows."""
     named: dict[str, list[str]] = {}
     models = {}
     given = [one.partition("=")[::2] for one in chosen.model]
@@ -97,6 +99,10 @@ def judge(chosen: argparse.Namespace) -> None:
         tables.append(slip_tables.stated_table(f"{chosen.name}-stated", rows, models, command))
         tables.append(slip_tables.paired_table(f"{chosen.name}-paired", rows, at, models, command))
     write(chosen.out, *tables)
+    kept = chosen.out / "rows" / f"{chosen.name}.jsonl.xz"
+    kept.parent.mkdir(exist_ok=True)
+    with lzma.open(kept, "wt") as file:
+        file.writelines(json.dumps({"motion": name} | row) + "\n" for name, of in rows.items() for row in of)
 
 
 def main() -> None:
