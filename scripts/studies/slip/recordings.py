@@ -29,8 +29,8 @@ OBJECTS = {"learn": motions.TRAINED, "choose": motions.CHOSEN_BY}
 # Trials per object. Fast jerks, weights and the data-rate scene are reserved for evaluation.
 COUNTS = {
     "learn": {
-        **{"slip": 6, "slip-varied": 8, "slip-speeds": 28, "handling": 10, "pushes": 14, "grip": 6, "jerks": 6},
-        **{"lifting": 2, "opening": 6, "light touch": 2, "vibration": 4, "weak lifts": 4},
+        **{"slip": 3, "slip-varied": 4, "slip-speeds": 15, "handling": 5, "pushes": 7, "grip": 3, "jerks": 3},
+        **{"lifting": 1, "opening": 3, "light touch": 1, "vibration": 2, "weak lifts": 2},
     },
     "choose": {
         **{"slip": 6, "slip-varied": 6, "slip-speeds": 24, "handling": 4, "pushes": 6, "grip": 3, "jerks": 2},
