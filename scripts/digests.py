@@ -38,7 +38,6 @@ SENSORS = ("small-dots", "second", "bare-dvxplorer", "soft-gel", "stiff-gel", "r
 TRAINED = (
     ("paper", "hist10"),
     ("paper", "fast-slow"),
-    ("adamw", "disp-xy"),
     ("adamw", "no-hist-img-6x6"),
     ("adamw", "hist10"),
     ("adam", "hist10"),
