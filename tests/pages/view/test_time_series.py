@@ -16,6 +16,7 @@ from evetac_cli.kernels.slip.architectures import ARCHITECTURES, UNKNOWN_SENSITI
 from evetac_cli.pages.view import collect_view, time_series
 from evetac_cli.pages.view.trial_files import open_trial
 from evetac_cli.pages.view.view_data import Panel, ViewData
+from evetac_cli.resources import MODEL
 from evetac_cli.store.recordings.read import open_recording
 from tests.conftest import Made
 from tests.pages.view.trials import ONSET, SLICES, moving, shown, write_labels, write_touch, write_tracks
