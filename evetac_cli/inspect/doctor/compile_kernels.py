@@ -27,6 +27,7 @@ from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.sim.setup.scene_file import changed
 
 EVENTS, GRID, SCENE = "events.txt", "grid.json", "short-slip.toml"
+DOTS_PX = np.stack(np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0), axis=-1)
 SLICES = 200  # more than the history of any network
 COMMANDS = (
     f"record --from {EVENTS} --frame-size 640x480 --calibration {GRID} --out a.recording.h5",
@@ -100,7 +101,7 @@ def _compile_detectors() -> None:
 
     `train` itself needs torch, which may not be installed.
     """
-    rows, columns = 7, 8
+    rows, columns = DOTS_PX.shape[:2]
     dots = rows * columns
     moved_px, counts = np.zeros((SLICES, dots, 2), np.float32), np.zeros((SLICES, dots), np.int32)
     told = np.zeros((SLICES, len(load_path.TOLD)), np.float32)
@@ -112,7 +113,7 @@ def _compile_detectors() -> None:
         weights = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
         detector = Detector(onnx_graphs.build(architecture, weights, rows, columns), architecture)
         detector.over(seen)
-        LiveDetector(detector, tracker.start(np.zeros((dots, 2)), presets.PRESETS["stable"]), None)
+        LiveDetector(detector, tracker.start(DOTS_PX.reshape(-1, 2), presets.PRESETS["stable"]), None)
     learnt = ARCHITECTURES["hist10"]
     batch = inputs.at(learnt, series, np.array([SLICES - 1]))
     inputs.turn(learnt, batch, rows, columns, np.zeros(1, np.int64), np.ones(1, np.float32))
@@ -126,8 +127,7 @@ def _write_events(folder: Path) -> None:
         [t, rng.integers(0, 640, len(t)), rng.integers(0, 480, len(t)), rng.integers(0, 2, len(t))], axis=1
     )
     np.savetxt(folder / EVENTS, events, fmt="%d", header="t_us x y p", comments="")
-    dots = np.stack(np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0), axis=-1)
-    grid = {"frame_px": [640, 480], "radius_px": 11.0, "dot_xy_px": dots.tolist(), "window_px": [540, 0, 640, 480]}
+    grid = {"frame_px": [640, 480], "radius_px": 11.0, "dot_xy_px": DOTS_PX.tolist(), "window_px": [540, 0, 640, 480]}
     (folder / GRID).write_text(json.dumps(grid))
 
 
