@@ -66,7 +66,7 @@ TRACKERS = {
 NETWORKS = (
     *("no-hist", "hist10", "events-only", "disp-only", "hist20", "down5", "fast-slow"),
     *("no-hist-img", "hist10-img", "no-hist-img-6x6", "hist10-img-6x6"),
-    *("disp-xy", "disp-xy-grip", "load-path"),
+    "load-path",
 )
 RECORDED_SCENES = (
     *("slip", "slip-varied", "slip-speeds", "handling", "data-rate", "grip-steps", "shear", "press", "rest", "edge"),

@@ -40,7 +40,7 @@ COMMANDS = every() | {f"evaluate {command.name}": command for command in SUBJECT
 
 def _shipped() -> str:
     with StageFile(resources.MODEL, "model") as model:
-        return f"{model.read('architecture')} {model.read('horizon_ms')} ms ahead"
+        return f"{model.read('architecture')}, {model.read('horizon_ms')} ms ahead"
 
 
 def _of_lerobot(name: str) -> Any:

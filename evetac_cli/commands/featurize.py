@@ -26,8 +26,7 @@ class Featurize:
     images: bool = parameter(False, "Add event images, for the image baselines no-hist-img and hist10-img.")
     sticking_share: bool = parameter(
         False,
-        "Add the sticking share of the contact, as estimated by the touch-map network, for the detectors disp-xy-grip"
-        " and load-path.",
+        "Add the sticking share of the contact, as estimated by the touch-map network, for the detector load-path.",
         recipe=False,  # added to the recipe only if given: features made before this option existed stay up to date
     )
     true_slip_share: bool = parameter(

@@ -25,7 +25,7 @@ class Grasp(Devices, Trials):
     )
     model: Path | None = parameter(
         None,
-        "Slip detector; default: `shipped`, the pretrained disp-xy-grip 10 ms ahead.",
+        "Slip detector; default: `shipped`, the pretrained load-path, 10 ms ahead.",
         recipe=False,
         needs=DETECTED,
     )

@@ -19,9 +19,7 @@ class Train:
     model: str | None = parameter(
         None,
         "Architecture, named as in the paper's table. -6x6: event images summed over 6 x 6 px, fast enough for a CPU."
-        " disp-xy: evetac's own, with directions and changes of displacements as inputs. disp-xy-grip:"
-        " also, if available, the gripper's state and the sticking share of the contact."
-        " load-path: with memory of the contact; it needs featurize --sticking-share."
+        " load-path: evetac's own, with memory of the contact; it needs featurize --sticking-share."
         " Default: hist10, or that of --adapt.",
         choices=names.NETWORKS,
         plugins=plugins.NETWORKS,

@@ -5,7 +5,7 @@ files or a folder. If the recording has a gripper, its position and goals are ad
 
 Further data are added only on request. Event images are needed only by the image baselines and take half of the file.
 The events themselves are for plug-in networks, which make images from them. The sticking share of the contact is for
-disp-xy-grip, and the true slipping share of a simulation for `train --learn-true-slip-share`.
+load-path, and the true slipping share of a simulation for `train --learn-true-slip-share`.
 """
 
 from collections.abc import Iterator, Sequence

@@ -27,8 +27,8 @@ from evetac_cli.store.layout.provenance import Header
 from evetac_cli.store.layout.rules import named_architecture
 from evetac_cli.store.recordings.onset import abstains
 
-EXTRA_COLUMNS = ("gripper_position_ticks", "gripper_goal_ticks", "gripper_goal_ma", "sticking_share")
-TOLD_COLUMNS = (*EXTRA_COLUMNS, "slip_begun")  # in the order of load_path.TOLD
+# In the order of load_path.TOLD.
+TOLD_COLUMNS = ("gripper_position_ticks", "gripper_goal_ticks", "gripper_goal_ma", "sticking_share", "slip_begun")
 
 
 def read_trajectory(path: Path, architecture: Architecture, *, true_slip_share: bool = False) -> Trajectory:
@@ -82,19 +82,7 @@ def read_series(file: StageFile, architecture: Architecture, start: int = 0, sto
         return features.GelEvents(begin - begin[0], *of_events)
     if isinstance(architecture, MemoryArchitecture):
         return _read_load_path(file, architecture, start, stop)
-    displacement_xy_px = None
-    if architecture.sees_direction:
-        displacement_xy_px = file.read("displacement_xy_px", start, stop)
-    dots = features.series(
-        file.read("displacement_px", start, stop),
-        file.read("events_per_dot", start, stop),
-        displacement_xy_px,
-        architecture.factors(file.sensitivity),
-    )
-    if not architecture.extras:
-        return dots
-    extra_columns = [file.read(name, start, stop) if file.has(name) else None for name in EXTRA_COLUMNS]
-    return inputs.DotsAndExtras(dots, inputs.extra_columns(len(dots), *extra_columns))
+    return features.series(file.read("displacement_px", start, stop), file.read("events_per_dot", start, stop))
 
 
 def _read_load_path(

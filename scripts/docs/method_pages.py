@@ -79,13 +79,11 @@ MODELS = {
     "hist10-img": "Baseline on event images, 10 slices.",
     "no-hist-img-6x6": "`no-hist-img` on images summed over 6 x 6 px, small enough to train on a CPU.",
     "hist10-img-6x6": "`hist10-img` on images summed over 6 x 6 px, small enough to train on a CPU.",
-    "disp-xy": "Displacement vectors, their changes, and event counts over 50 ms.",
-    "disp-xy-grip": "The inputs of `disp-xy` and, if available, changes of the gripper's position and command and the"
-    " share of the contact that sticks. The pretrained detector has this architecture.",
     "load-path": "Numbers of the contact every 5 ms, from dots, events, the network of the sticking share and the"
-    " gripper, with a memory from the first touch on. It is trained by its own recipe, not by a preset.",
+    " gripper, with a memory from the first touch on. It is trained by its own recipe, not by a preset. The"
+    " pretrained detector has this architecture.",
 }
-OWN_MODELS = ("no-hist-img-6x6", "hist10-img-6x6", "disp-xy", "disp-xy-grip", "load-path")
+OWN_MODELS = ("no-hist-img-6x6", "hist10-img-6x6", "load-path")
 FORCE_MODELS = {
     "paper": "Shear force by a linear regression and by the paper's network, for the dot grid of one sensor.",
     "touch": "evetac's model: shear modulus, creep, offset and normal-force factor of one sensor. Touch maps use these"
@@ -186,9 +184,6 @@ def _models() -> str:
         ]
         if isinstance(architecture, DotArchitecture):
             facts.append(("inputs per dot", f"{architecture.inputs_per_dot}, of {_channels(architecture)}"))
-            if architecture.extras:
-                extra = ", ".join(view.extra for view in architecture.extras)
-                facts.append(("of these, not from dots", f"{sum(view.width for view in architecture.extras)}: {extra}"))
         elif isinstance(architecture, MemoryArchitecture):
             facts[1] = ("history", "the contact so far")
             facts.append(("inputs per step", str(len(LOAD_PATH))))
@@ -209,7 +204,7 @@ def _channels(architecture: DotArchitecture) -> str:
     for view in architecture.views:
         parts = [f"{view.recent} slice{'s' if view.recent > 1 else ''}"] if view.recent else []
         parts += [f"{view.means} means of {view.block}"] if view.means else []
-        lines.append(f"{view.channel} ({' and '.join(parts)}{', as changes' if view.change else ''})")
+        lines.append(f"{view.channel} ({' and '.join(parts)})")
     return ", ".join(lines)
 
 

@@ -32,7 +32,7 @@ def demo_steps(sizes: Sizes) -> Iterator[Command]:
     yield evetac("track", "*/*.recording.h5")
     yield evetac("label", "*/*.recording.h5", "--after-ms", 25)
     yield evetac("featurize", "*/*.recording.h5")
-    yield evetac("train", "learn/*.features.h5", "--validate", "choose", "--model", "disp-xy", "--preset", "adam",
+    yield evetac("train", "learn/*.features.h5", "--validate", "choose", "--model", "fast-slow", "--preset", "adam",
                  "--epochs", sizes["epochs"], "--seed", seed, "--out", "slip.model.h5")  # fmt: skip
     yield evetac("grasp", "--object", 11, "--seed", seed, *GRID, "--controller", "paper", "--model", "slip.model.h5",
                  "--lift-s", 7, "--balance-s", 5, "--out", "with-detector.recording.h5")  # fmt: skip

@@ -65,14 +65,14 @@ def steps(scene: str, grasp_s: float) -> dict[str, Step]:
     grasp_s: how long a grasp lifts; it balances for a third of that.
     """
     lasts = ("--lift-s", str(grasp_s), "--balance-s", str(grasp_s / 3.0))
-    learn = ("train", "--model", "disp-xy", "--preset", "adam", "--epochs", "1", "-o", "a.model.h5")
+    learn = ("train", "--model", "fast-slow", "--preset", "adam", "--epochs", "1", "-o", "a.model.h5")
     judge = ("evaluate", "slip", "--model", str(MODEL), "-o", "slip.report.h5")
     features = ("record", "track", "label", "featurize")
     return {
         "record": Step(("record", "--scene", scene, "--object", "3", "-o", "."), "", ".recording.h5", ()),
         "track": Step(("track",), "recording", ".tracks.h5"),
         "label": Step(("label",), "recording", ".labels.h5"),
-        "featurize": Step(("featurize",), "recording", ".features.h5", features[:-1]),
+        "featurize": Step(("featurize", "--sticking-share"), "recording", ".features.h5", features[:-1]),
         "train 1 epoch": Step(learn, "features", ".model.h5", features),
         "evaluate slip": Step(judge, "features", "slip.report.h5", features),
         "evaluate labels": Step(

@@ -11,9 +11,9 @@ from evetac_cli.commands.track import Track
 from evetac_cli.errors import InputError
 from evetac_cli.events import SLICE_US
 from evetac_cli.kernels.event_representation import event_image
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES, EVENTS_A_RIM, SHEAR_MODULUS_PA
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, SHEAR_MODULUS_PA
 from evetac_cli.kernels.slip.features import GelEvents
-from evetac_cli.kernels.slip.inputs import DotsAndExtras
+from evetac_cli.kernels.slip.load_path import EVERY, LoadPath
 from evetac_cli.stages import featurize, track
 from evetac_cli.stages.slip_detectors import read_series, read_trajectory
 from evetac_cli.stages.touch.touch_fold import StickingShare
@@ -55,12 +55,8 @@ def test_sensitivity_is_of_the_recording_or_of_the_tracks(made: Made, tmp_path: 
     chosen = Featurize(tracks=job.output)
     (job,) = featurize.jobs([path], chosen, tmp_path)
     featurize.run(job, chosen)
-    ours, paper = ARCHITECTURES["disp-xy"], ARCHITECTURES["fast-slow"]
     with StageFile(job.output) as features:
         assert features.sensitivity == (5.5, 2 * SHEAR_MODULUS_PA)
-        seen, plain = (read_series(features, each)[..., :2] for each in (ours, paper))
-    np.testing.assert_allclose(seen, plain * (2.0, 2.0 * EVENTS_A_RIM / 5.5), rtol=1e-6)
-    assert (plain.max(axis=(0, 1)) > 1.0).all()
 
 
 def test_images_are_the_event_images_of_the_gel(made: Made, tmp_path: Path) -> None:
@@ -159,12 +155,6 @@ def test_a_slice_is_told_what_the_gripper_did_before_it(made: Made) -> None:
             assert told["position_ticks"][k] == position[before[-1]]
             assert told["goal_ma"][k] == goal_ma[before[-1]]
         assert np.ptp(goal_ma) > 0
-        seen = read_series(features, ARCHITECTURES["disp-xy-grip"])
-        plain = read_series(features, ARCHITECTURES["disp-xy"])
-    assert isinstance(seen, DotsAndExtras)
-    np.testing.assert_array_equal(seen.dots, plain)
-    np.testing.assert_array_equal(seen.extras[:, 0], told["position_ticks"])
-    assert np.isnan(seen.extras[:, 2]).all()
 
 
 def test_the_sticking_share_is_told_on_request(made: Made, tmp_path: Path) -> None:
@@ -176,12 +166,12 @@ def test_the_sticking_share_is_told_on_request(made: Made, tmp_path: Path) -> No
         share = features.read("sticking_share")
         dots, lost = of_tracks.read("dot_xy_px"), of_tracks.read("lost") != 0
         live = StickingShare(of_tracks.read("sensor/dot_xy_px").reshape(-1, 2), of_tracks.read("sensor/frame_px"))
-        seen = read_series(features, ARCHITECTURES["disp-xy-grip"])
+        path_of = read_series(features, ARCHITECTURES["load-path"])
     told = [live.step(*one) for one in zip(dots.astype(np.float64), lost, strict=True)]
     np.testing.assert_array_equal(share, np.array([np.nan, *told[:-1]], np.float32))
     assert np.isnan(share).any() and np.nanmin(share) < 0.5 < np.nanmax(share)
-    assert isinstance(seen, DotsAndExtras)
-    np.testing.assert_array_equal(seen.extras[:, 2], share)
+    assert isinstance(path_of, LoadPath)
+    np.testing.assert_array_equal(path_of.touches, np.isfinite(share[EVERY - 1 :: EVERY]))
 
 
 def test_labels_that_abstain_are_features_that_are_not_timed(tmp_path: Path) -> None:

@@ -58,13 +58,13 @@ def endless_loop(graph: Any) -> None:
 
 
 def another_weight(graph: Any) -> None:
-    (bias,) = (one for one in graph.graph.initializer if one.name == "0.fc1.bias")
+    (bias,) = (one for one in graph.graph.initializer if one.name == "0.first.bias")
     changed = numpy_helper.to_array(bias) + 1
-    bias.CopyFrom(numpy_helper.from_array(changed.astype(np.float32), "fc1.bias"))
+    bias.CopyFrom(numpy_helper.from_array(changed.astype(np.float32), "0.first.bias"))
 
 
 def weight_in_another_file(graph: Any) -> None:
-    (bias,) = (one for one in graph.graph.initializer if one.name == "0.fc1.bias")
+    (bias,) = (one for one in graph.graph.initializer if one.name == "0.first.bias")
     bias.ClearField("raw_data")
     bias.data_location = TensorProto.EXTERNAL
     bias.external_data.add(key="location", value="/etc/passwd")
@@ -79,10 +79,10 @@ def function(graph: Any) -> None:
     add_to_output(graph, helper.make_node("Same", ["before"], ["probability"], domain="mine"))
 
 
-def another_padding(graph: Any) -> None:
-    conv = next(node for node in graph.graph.node if node.op_type == "Conv")
-    (pads,) = (attribute for attribute in conv.attribute if attribute.name == "pads")
-    pads.ints[:] = [2**31, 0, 2**31, 0]
+def another_size(graph: Any) -> None:
+    memory = next(node for node in graph.graph.node if node.op_type == "GRU")
+    (size,) = (attribute for attribute in memory.attribute if attribute.name == "hidden_size")
+    size.i = 2**31
 
 
 HOSTILE: dict[str, Callable[[Any], None]] = {
@@ -92,7 +92,7 @@ HOSTILE: dict[str, Callable[[Any], None]] = {
         another_weight,
         weight_in_another_file,
         function,
-        another_padding,
+        another_size,
     )
 }
 
@@ -130,4 +130,4 @@ def test_the_model_that_evetac_comes_with_is_taken(model: Path) -> None:
     """Assert that our own model is valid and loads."""
     assert validate.run([model]).summary["invalid"] == 0
     with StageFile(model, "model") as file:
-        assert load_detector(file).architecture.name == "disp-xy-grip"
+        assert load_detector(file).architecture.name == "load-path"

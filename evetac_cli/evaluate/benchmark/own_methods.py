@@ -106,11 +106,10 @@ def _tracked(entry: BenchmarkTrial, preset: str, folder: Path) -> Path:
 def _slip(entry: BenchmarkTrial, model: Model, tracks: Path) -> NDArray[np.float32]:
     """Return the probability of slip in each ms, NaN until the history is full."""
     architecture = model.architecture
-    sticks = "sticking" in model.detector().learned_extras
     asked = Featurize(
         images=isinstance(architecture, ImageArchitecture),
         events=isinstance(architecture, PluginImageArchitecture),
-        sticking_share=sticks,
+        sticking_share=model.detector().needs_sticking,
     )
     what = "".join(f"-{name}" for name in ("images", "events", "sticking_share") if getattr(asked, name))
     output = tracks.with_name(f"{entry.name}{what}.features.h5")

@@ -20,11 +20,14 @@ from evetac_cli import console
 from evetac_cli.console import print_table
 from evetac_cli.errors import EvetacError
 from evetac_cli.jobs import LookCall, Outcome, Progress, Rows, silent
-from evetac_cli.kernels.slip import inputs
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES, CHANNELS
+from evetac_cli.kernels.slip import features, inputs, load_path, onnx_graphs
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, weight_shapes
+from evetac_cli.kernels.slip.detector import Detector, LiveDetector
+from evetac_cli.kernels.tracking import presets, tracker
 from evetac_cli.sim.setup.scene_file import changed
 
 EVENTS, GRID, SCENE = "events.txt", "grid.json", "short-slip.toml"
+DOTS_PX = np.stack(np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0), axis=-1)
 SLICES = 200  # more than the history of any network
 COMMANDS = (
     f"record --from {EVENTS} --frame-size 640x480 --calibration {GRID} --out a.recording.h5",
@@ -54,7 +57,7 @@ def run(
         f"compiling for this computer, once after installation: {len(commands)} commands, a minute and a half on an"
         " idle computer, several minutes on a slow or busy one"
     )
-    _compile_training()
+    _compile_detectors()
     with TemporaryDirectory(prefix="evetac-compile-") as folder:
         _write_events(Path(folder))
         _write_scene(Path(folder))
@@ -93,12 +96,26 @@ def _run(line: str, folder: str, say: Callable[[str], None]) -> None:
         raise EvetacError("compiling failed", where=line, found=found)
 
 
-def _compile_training() -> None:
-    """Prepare training data from read-only slices: `train` needs torch, which may not be installed."""
-    learnt, rows, columns = ARCHITECTURES["disp-xy"], 7, 8
-    series = np.zeros((SLICES, rows * columns, len(CHANNELS)), np.float32)
-    series.setflags(write=False)
-    batch = inputs.at(learnt, series, np.array([len(series) - 1]))
+def _compile_detectors() -> None:
+    """Run a network over dots and one with memory, over a file and live, and prepare training data.
+
+    `train` itself needs torch, which may not be installed.
+    """
+    rows, columns = DOTS_PX.shape[:2]
+    dots = rows * columns
+    moved_px, counts = np.zeros((SLICES, dots, 2), np.float32), np.zeros((SLICES, dots), np.int32)
+    told = np.zeros((SLICES, len(load_path.TOLD)), np.float32)
+    path = load_path.over(load_path.start((rows, columns)), moved_px, counts, told)
+    series = features.series(moved_px[..., 0], counts)
+    for name, seen in (("hist10", series), ("load-path", path)):
+        architecture = ARCHITECTURES[name]
+        shapes = weight_shapes(architecture, rows, columns)
+        weights = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+        detector = Detector(onnx_graphs.build(architecture, weights, rows, columns), architecture)
+        detector.over(seen)
+        LiveDetector(detector, tracker.start(DOTS_PX.reshape(-1, 2), presets.PRESETS["stable"]), None)
+    learnt = ARCHITECTURES["hist10"]
+    batch = inputs.at(learnt, series, np.array([SLICES - 1]))
     inputs.turn(learnt, batch, rows, columns, np.zeros(1, np.int64), np.ones(1, np.float32))
 
 
@@ -110,8 +127,7 @@ def _write_events(folder: Path) -> None:
         [t, rng.integers(0, 640, len(t)), rng.integers(0, 480, len(t)), rng.integers(0, 2, len(t))], axis=1
     )
     np.savetxt(folder / EVENTS, events, fmt="%d", header="t_us x y p", comments="")
-    dots = np.stack(np.meshgrid(60.0 * np.arange(8) + 60.0, 60.0 * np.arange(7) + 50.0), axis=-1)
-    grid = {"frame_px": [640, 480], "radius_px": 11.0, "dot_xy_px": dots.tolist(), "window_px": [540, 0, 640, 480]}
+    grid = {"frame_px": [640, 480], "radius_px": 11.0, "dot_xy_px": DOTS_PX.tolist(), "window_px": [540, 0, 640, 480]}
     (folder / GRID).write_text(json.dumps(grid))
 
 

@@ -48,12 +48,7 @@ def sensitivity_of(sensor: Mapping[str, Any]) -> Sensitivity:
     return Sensitivity(**{name: float(sensor[path]) for name, path in SENSITIVITY_DATASETS.items() if path in sensor})
 
 
-CHANNELS = ("distance", "events", "x", "y")  # features of every dot and slice; displacements in px
-
-# Optional inputs of every slice in addition to the dots: position and command of the fingers in ticks (inputs.py), and
-# the share of the contact that sticks, 0 to 1.
-EXTRAS = ("position", "command", "sticking")
-IN_TICKS = ("position", "command")
+CHANNELS = ("distance", "events")  # features of every dot and slice; distance from rest in px
 # Properties of the sensor `evetac`, to which others are scaled: events of a pixel as a dot's rim passes, and its gel.
 EVENTS_A_RIM = USUAL_CONTRAST
 SHEAR_MODULUS_PA = 145e3
@@ -71,17 +66,12 @@ LEAST_ROWS, LEAST_COLUMNS = 2, 4  # smallest grid of dots for a network over dot
 
 
 class ChannelView(NamedTuple):
-    """How a network sees one channel of a dot: the newest slices as they are, then means over consecutive blocks.
-
-    With `change`, all values except the newest, v, are passed as v - value. Otherwise a displacement of many px would
-    mask a growth by hundredths of a px.
-    """
+    """How a network sees one channel of a dot: the newest slices as they are, then means over consecutive blocks."""
 
     channel: str  # one of CHANNELS
     recent: int = 0  # newest slices, newest first
     block: int = 1  # slices of a block
     means: int = 0  # number of blocks, newest first
-    change: bool = False
 
     @property
     def history(self) -> int:
@@ -89,60 +79,26 @@ class ChannelView(NamedTuple):
         return max(self.recent, self.block * self.means)
 
 
-class ExtraView(NamedTuple):
-    """How a network sees one of EXTRAS: a flag that it is known, its newest value, and its changes until then.
-
-    The flag is 1 if the newest value and all values that changes are taken from are known; otherwise all inputs are 0.
-    Reason for changes: the position of the fingers shows the object's width, by which a network would recognise the
-    objects of its training.
-    """
-
-    extra: str  # one of EXTRAS
-    newest: bool = False
-    changes_ms: tuple[int, ...] = ()
-
-    @property
-    def width(self) -> int:
-        """Number of inputs."""
-        return 1 + self.newest + len(self.changes_ms)
-
-    @property
-    def history(self) -> int:
-        """Number of slices that the view covers, including the newest."""
-        return 1 + max(self.changes_ms, default=0)
-
-
-class Factors(NamedTuple):
-    """Factors on the features of a dot: on displacements (distance, x, y), and on events."""
-
-    displacement: float = 1.0
-    events: float = 1.0
-
-
-def to_one_sensor(sensor: Sensitivity) -> Factors:
-    """Return the factors that scale the features of a sensor to those of `evetac`, as far as its properties are known.
+def to_one_sensor(sensor: Sensitivity) -> tuple[float, float]:
+    """Return the factors that scale displacements and events of a sensor to those of `evetac`; 1 for what is unknown.
 
     A gel of half the modulus moves twice as far under the same force, and a camera of half the threshold makes twice
     the events for the same motion.
     """
     stiffer = 1.0 if sensor.shear_modulus_pa is None else sensor.shear_modulus_pa / SHEAR_MODULUS_PA
     ratio = sensor.contrast_over_threshold
-    return Factors(stiffer, stiffer if ratio is None else stiffer * EVENTS_A_RIM / ratio)
+    return stiffer, stiffer if ratio is None else stiffer * EVENTS_A_RIM / ratio
 
 
 @dataclass(frozen=True)
 class DotArchitecture:
-    """A network that encodes each dot, then looks at their grid: a row of the paper's table, or one of evetac's own."""
+    """A network that encodes each dot, then looks at their grid: a row of the paper's table."""
 
     name: str
     views: tuple[ChannelView, ...]  # in the order of the inputs
     fc1: int  # widths of the two layers that encode a dot
     fc2: int
     every: int = 1  # slices from one prediction to the next; it is held in between
-
-    # Whether displacements and events are scaled by `to_one_sensor`. The paper's models use unscaled features.
-    like_one_sensor: bool = False
-    extras: tuple[ExtraView, ...] = ()  # passed to every dot, after its own inputs; any of them may be unknown
 
     def __post_init__(self) -> None:
         channels = [view.channel for view in self.views]
@@ -151,51 +107,18 @@ class DotArchitecture:
         for view in self.views:
             if min(view.recent, view.means) < 0 or view.block < 1 or view.recent + view.means < 1:
                 raise ValueError(f"view: expected at least one slice or block of at least one slice, found {view}")
-            if view.change and view.recent < 1:
-                raise ValueError(f"view: expected a newest slice to take the change from, found {view}")
-        across = [tuple(view[1:]) for view in self.views if view.channel in ("x", "y")]
-        if len(across) == 1 or (across and across[0] != across[1]):
-            raise ValueError(f"views: expected the same view of x and y, to be able to rotate them, found {self.views}")
-        seen = [view.extra for view in self.extras]
-        if len(set(seen)) < len(seen) or not set(seen) <= set(EXTRAS):
-            raise ValueError(f"extras: expected different ones of {', '.join(EXTRAS)}, found {seen}")
-        if any(view.width < 2 or min(view.changes_ms, default=1) < 1 for view in self.extras):
-            raise ValueError(f"extras: expected a newest value, or changes over at least 1 ms, found {self.extras}")
         if min(self.fc1, self.fc2, self.every) < 1:
             raise ValueError(f"expected at least one unit per layer and one slice per prediction, found {self}")
 
     @property
     def history(self) -> int:
         """Number of slices that one prediction needs."""
-        return max(*(view.history for view in self.views), *(view.history for view in self.extras), 0)
+        return max(view.history for view in self.views)
 
     @property
     def inputs_per_dot(self) -> int:
-        """Number of inputs that describe one dot, l_i in the paper's table, including the extras."""
-        return self.own_inputs + sum(view.width for view in self.extras)
-
-    @property
-    def own_inputs(self) -> int:
-        """Number of inputs of the dot itself, which come first."""
+        """Number of inputs that describe one dot, l_i in the paper's table."""
         return sum(view.recent + view.means for view in self.views)
-
-    @property
-    def sees_direction(self) -> bool:
-        """Whether the network needs displacements with their direction."""
-        return not {"x", "y"}.isdisjoint(view.channel for view in self.views)
-
-    def channel_columns(self, channel: str) -> slice:
-        """Return the columns of a channel among the inputs of a dot; an empty slice if the network does not see it."""
-        first = 0
-        for view in self.views:
-            if view.channel == channel:
-                return slice(first, first + view.recent + view.means)
-            first += view.recent + view.means
-        return slice(0, 0)
-
-    def factors(self, sensor: Sensitivity) -> Factors:
-        """Return the factors on the features of a sensor."""
-        return to_one_sensor(sensor) if self.like_one_sensor else Factors()
 
 
 @dataclass(frozen=True)
@@ -398,11 +321,6 @@ def weight_shapes(
     return {prefix + name: shape for prefix in networks for name, shape in shapes.items()}
 
 
-_DIRECTIONS = (
-    ChannelView("x", 10, 10, 5, change=True),
-    ChannelView("y", 10, 10, 5, change=True),
-    ChannelView("events", 10, 10, 5),
-)
 _PAPER_POOLS = ((3, 3), (3, 3), (4, 4), (9, 7))
 # The first of the paper's pools needs 90 x 80 px images; only these others leave 5 x 5 px for every convolution.
 _POOLS_6X6 = ((3, 3), (2, 2), (1, 1), (4, 2))
@@ -447,32 +365,8 @@ ARCHITECTURES: dict[str, Architecture] = {
         ImageArchitecture("hist10-img", 10, _PAPER_POOLS),
         ImageArchitecture("no-hist-img-6x6", 1, _POOLS_6X6, pool_px=6),
         ImageArchitecture("hist10-img-6x6", 10, _POOLS_6X6, pool_px=6),
-        # evetac's own, on the time scales of fast-slow. In incipient slip the border of the contact moves while its
-        # centre sticks. What matters is the direction in which a dot moves relative to its neighbours, by hundredths
-        # of a px per ms. The paper's models only see the distance from rest, which has no direction and masks such
-        # small changes. So these see direction and changes. Twice the time (100 ms) was no better on unseen objects.
-        DotArchitecture(
-            "disp-xy",
-            _DIRECTIONS,
-            fc1=24,
-            fc2=8,
-            like_one_sensor=True,
-        ),
-        # The same, plus the motion of the gripper and the sticking share, if known: fingers that open by a tick move
-        # the dots as a contact that begins to slip does.
-        DotArchitecture(
-            "disp-xy-grip",
-            _DIRECTIONS,
-            fc1=24,
-            fc2=8,
-            like_one_sensor=True,
-            extras=(
-                ExtraView("position", changes_ms=(10, 20, 30, 40, 50)),
-                ExtraView("command", changes_ms=(10, 20, 30, 40, 50)),
-                ExtraView("sticking", newest=True, changes_ms=(10, 50)),
-            ),
-        ),
-        # Whether a contact is near its limit depends on how it was loaded so far, longer ago than any history above.
+        # evetac's own. Whether a contact is near its limit depends on how it was loaded so far, longer ago than any
+        # history above.
         MemoryArchitecture("load-path"),
     )
 }

@@ -33,12 +33,10 @@ from evetac_cli.kernels.slip import features, inputs, load_path, memory_networks
 from evetac_cli.kernels.slip.architectures import (
     CONV1,
     CONV2,
-    EXTRAS,
     FC3,
     FC4,
     GEL_PX,
     LOAD_PATH,
-    OF_GRIPPER,
     UNKNOWN_SENSITIVITY,
     Architecture,
     DotArchitecture,
@@ -227,17 +225,9 @@ class Detector:
             self._session = _session(graph)
 
     @property
-    def learned_extras(self) -> tuple[str, ...]:
-        """The extras, of EXTRAS, that the network has learned to use; for a plug-in's network, all of its extras."""
-        architecture = self.architecture
-        if self.memory_networks is not None:  # the sticking share also tells it of the contact
-            return EXTRAS if self.memory_networks.scale[:, OF_GRIPPER].any() else ("sticking",)
-        if not isinstance(architecture, DotArchitecture):
-            return ()
-        if self.networks is None:
-            return tuple(view.extra for view in architecture.extras)
-        wide = architecture.inputs_per_dot
-        return inputs.learned_extras(architecture, self.networks.weights[:, wide : 2 * wide].max(axis=0))
+    def needs_sticking(self) -> bool:
+        """Whether it needs the sticking share, which also tells a network with memory of the contact."""
+        return self.memory_networks is not None
 
     def probability(self, batch: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the slip probability (k,) of inputs (k, ...) from `inputs.at`; ValueError for another shape.
@@ -336,7 +326,7 @@ def _input_size(architecture: Architecture, series: inputs.Series) -> int:
     if isinstance(series, inputs.OfEvents):
         return 1
     assert isinstance(architecture, DotArchitecture) and not isinstance(series, LoadPath)
-    return int(inputs.dots_of(series).shape[1]) * architecture.inputs_per_dot
+    return int(series.shape[1]) * architecture.inputs_per_dot
 
 
 def _session(graph: bytes) -> Any:
@@ -376,7 +366,6 @@ class LiveDetector:
         self._window_px = window_px
         self._probability = float("nan")
         architecture, networks = detector.architecture, detector.networks
-        self._extras = np.full(len(EXTRAS), np.nan)  # extras of the next slice
         self._path: load_path.LoadPathState | None = None  # of a network with memory
         seen = np.arange(len(tracking.rest_xy_px)) if seen_dots is None else np.flatnonzero(seen_dots)
         if isinstance(architecture, DotArchitecture | MemoryArchitecture) and len(seen) != detector.dots:
@@ -384,14 +373,13 @@ class LiveDetector:
         if detector.memory_networks is not None:
             self._start_path(detector.memory_networks, seen, sensor)
         elif isinstance(architecture, DotArchitecture):
-            dots = features.start(tracking.rest_xy_px[seen], architecture.history, architecture.factors(sensor))
-            self._seen, self._features, self._extras = seen, dots, dots.record["extras"][0]
+            dots = features.start(tracking.rest_xy_px[seen], architecture.history)
+            self._seen, self._features = seen, dots
             if networks is not None:
                 batch = np.zeros((1, len(seen), architecture.inputs_per_dot), np.float32)
                 # All arguments of the compiled call, in its order, created once.
                 self._dots = (
                     *(dots.record, seen, architecture.every, inputs.view_table(architecture.views)),
-                    *(inputs.extra_table(architecture.extras), architecture.own_inputs),
                     *(batch, *networks, np.full(1, np.nan, np.float32)),
                 )
                 _compile(_predict_slice, tracking, self._dots)
@@ -412,19 +400,17 @@ class LiveDetector:
     def tell(
         self,
         position_ticks: float,
-        command_ticks: float,
+        goal_ticks: float,
         sticking_share: float = float("nan"),
         slip_begun: float = float("nan"),
     ) -> None:
-        """Set the extras, starting with the next slice, until they are set again; NaN for unknown ones.
+        """Tell a network with memory of the next slices, until told again; NaN for what is unknown. Others ignore it.
 
-        command_ticks: a goal current is converted as in `inputs.extra_columns`; a network with memory takes it as a
-        goal in ticks. slip_begun: probability that slip has begun, which only a network with memory uses. A network
-        without extras ignores them.
+        position_ticks, goal_ticks: of the gripper. sticking_share: of the contact, 0 to 1; slip_begun: probability that
+        slip has begun.
         """
         if self._path is not None:
-            self._path.told[:] = position_ticks, command_ticks, np.nan, sticking_share, slip_begun
-        self._extras[:] = position_ticks, command_ticks, sticking_share
+            self._path.told[:] = position_ticks, goal_ticks, np.nan, sticking_share, slip_begun
 
     @property
     def needs_times(self) -> bool:
@@ -469,8 +455,7 @@ class LiveDetector:
         if since_full >= 0 and since_full % architecture.every == 0:
             series: inputs.Series
             if isinstance(architecture, PluginArchitecture):
-                record = self._features.record
-                series = inputs.DotsAndExtras(features.latest_slices(record), features.latest_extras(record))
+                series = features.latest_slices(self._features.record)
             else:
                 series = self._stack()
             batch = inputs.at(architecture, series, self._newest)
@@ -500,8 +485,6 @@ def _predict_slice(
     seen: NDArray[np.int64],
     every: int,
     views: NDArray[np.int64],
-    extra_views: NDArray[np.int64],
-    own_inputs: int,
     batch: NDArray[np.float32],
     weights: NDArray[np.float32],
     sizes: NDArray[np.int64],
@@ -510,7 +493,7 @@ def _predict_slice(
     """Track the dots, add the features of those seen, and predict when due; `probability` holds the value in between.
 
     tracking, dots: records of a `tracker.TrackerState` and a `features.FeatureState`. batch: workspace (1, dots,
-    inputs). The rest as for `inputs.fill`, `inputs.fill_extras` and `predict_dots`.
+    inputs). The rest as for `inputs.fill` and `predict_dots`.
     """
     tracker.take_slice(tracking, x, y, p)
     all_xy_px, all_events = tracking[0]["centre_xy_px"][:], tracking[0]["events"][:]
@@ -523,7 +506,6 @@ def _predict_slice(
     if since_full >= 0 and since_full % every == 0:
         ends = np.array([dots[0]["history"] - 1])
         inputs.fill(features.latest_slices(dots), ends, views, batch)
-        inputs.fill_extras(features.latest_extras(dots), ends, extra_views, own_inputs, batch)
         predict_dots(batch, weights, sizes, probability)
     return float(probability[0])
 

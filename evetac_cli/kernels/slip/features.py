@@ -26,25 +26,20 @@ from evetac_cli.errors import check_range
 from evetac_cli.events import FRAME_PX, SLICE_US, Events
 from evetac_cli.kernels.calibration.grid import MOST_DOTS
 from evetac_cli.kernels.compiled import njit
-from evetac_cli.kernels.slip.architectures import CHANNELS, EXTRAS, GEL_PX, Factors
+from evetac_cli.kernels.slip.architectures import CHANNELS, GEL_PX
 
 DOT_CAPACITY = MOST_DOTS  # number of dots that a state has room for
 HISTORY_CAPACITY = 128  # slices
-UNSCALED = Factors()
 
 STATE = np.dtype(
     [
         ("dots", np.int64),  # n
         ("history", np.int64),  # number of slices that `latest_slices` returns
         ("slices", np.int64),  # number so far
-        ("displacement_factor", np.float64),
-        ("events_factor", np.float64),
         ("rest_xy_px", np.float64, (DOT_CAPACITY, 2)),  # the first n rows are used
         # (2 * history, n, channels), flat: every slice is written twice, `history` rows apart, so that the last slices
         # are always contiguous, the newest last.
         ("ring", np.float32, 2 * HISTORY_CAPACITY * DOT_CAPACITY * len(CHANNELS)),
-        ("extras", np.float64, len(EXTRAS)),  # extras of the next slice, NaN for unknown ones
-        ("extras_ring", np.float32, (2 * HISTORY_CAPACITY, len(EXTRAS))),  # as the ring
     ],
     align=True,
 )
@@ -69,19 +64,17 @@ class FeatureState:
         return FeatureState, (self.record.copy(),)
 
 
-def start(rest_xy_px: NDArray[np.floating], history: int, factors: Factors = UNSCALED) -> FeatureState:
+def start(rest_xy_px: NDArray[np.floating], history: int) -> FeatureState:
     """Start collecting features of dots with positions at rest rest_xy_px, (n, 2), NaN for a missing dot.
 
-    factors: on the features. ValueError if history is not from 1 to HISTORY_CAPACITY.
+    ValueError if history is not from 1 to HISTORY_CAPACITY.
     """
     rest = _checked_rest(rest_xy_px)
     assert len(rest) <= DOT_CAPACITY
     check_range("history", history, 1, HISTORY_CAPACITY, "slices")
     record = np.zeros(1, STATE)
     record["dots"], record["history"] = len(rest), history
-    record["displacement_factor"], record["events_factor"] = factors
     record["rest_xy_px"][0, : len(rest)] = rest
-    record["extras"] = np.nan
     # Compiles or loads the kernel now instead of in the first slice; on a copy, so that it does not count as a slice.
     take_slice(record.copy(), rest, np.zeros(len(rest), np.int32))
     return FeatureState(record)
@@ -94,25 +87,10 @@ def step(state: FeatureState, dot_xy_px: NDArray[np.floating], events_per_dot: N
     take_slice(state.record, dot_xy_px, events_per_dot)
 
 
-def series(
-    displacement_px: NDArray[np.float32],
-    events_per_dot: NDArray[np.integer],
-    displacement_xy_px: NDArray[np.float32] | None = None,
-    factors: Factors = UNSCALED,
-) -> NDArray[np.float32]:
-    """Return the channels of a recording, (slices, n, channels), from (slices, n) twice and (slices, n, 2).
-
-    Without displacement_xy_px there are only the first two channels. All are multiplied by factors.
-    """
+def series(displacement_px: NDArray[np.float32], events_per_dot: NDArray[np.integer]) -> NDArray[np.float32]:
+    """Return the channels of a recording, (slices, n, channels), from displacement and events, (slices, n) each."""
     assert displacement_px.ndim == 2 and displacement_px.shape == events_per_dot.shape
-    channels = len(CHANNELS) if displacement_xy_px is not None else 2
-    result = np.empty((*displacement_px.shape, channels), np.float32)
-    result[..., 0] = factors.displacement * displacement_px
-    result[..., 1] = factors.events * events_per_dot
-    if displacement_xy_px is not None:
-        assert displacement_xy_px.shape == (*displacement_px.shape, 2)
-        result[..., 2:] = factors.displacement * displacement_xy_px
-    return result
+    return np.stack([displacement_px, events_per_dot.astype(np.float32)], axis=2)
 
 
 def displacement(dot_xy_px: NDArray[np.floating], rest_xy_px: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -276,23 +254,15 @@ def take_slice(record: NDArray[np.void], dot_xy_px: NDArray[np.floating], events
     """Do the work of `step`, unchecked, for compiled code; record: of a `FeatureState`."""
     state = record[0]
     dots, history = state["dots"], state["history"]
-    # multiplied in the precision that numpy uses in series
-    moved, counted = np.float32(state["displacement_factor"]), state["events_factor"]
     rest_xy_px, ring = state["rest_xy_px"][:dots], state["ring"][:]
     row = state["slices"] % history
     first, again = row * dots * len(CHANNELS), (row + history) * dots * len(CHANNELS)
     for i in range(dots):
-        x_px, y_px, rest_x_px, rest_y_px = dot_xy_px[i, 0], dot_xy_px[i, 1], rest_xy_px[i, 0], rest_xy_px[i, 1]
-        distance = moved * _distance(x_px, y_px, rest_x_px, rest_y_px)
-        events = np.float32(counted * events_per_dot[i])
-        right, down = moved * offset(x_px, rest_x_px), moved * offset(y_px, rest_y_px)
+        distance = _distance(dot_xy_px[i, 0], dot_xy_px[i, 1], rest_xy_px[i, 0], rest_xy_px[i, 1])
         for k in (first, again):
-            ring[k], ring[k + 1], ring[k + 2], ring[k + 3] = distance, events, right, down
+            ring[k], ring[k + 1] = distance, np.float32(events_per_dot[i])
         first += len(CHANNELS)
         again += len(CHANNELS)
-    extras, extras_ring = state["extras"][:], state["extras_ring"][:]
-    for i in range(len(EXTRAS)):
-        extras_ring[row, i] = extras_ring[row + history, i] = np.float32(extras[i])
     state["slices"] += 1
 
 
@@ -307,15 +277,6 @@ def latest_slices(record: NDArray[np.void]) -> NDArray[np.float32]:
     first, row = state["slices"] % history, dots * len(CHANNELS)
     latest: NDArray[np.float32] = state["ring"][first * row : (first + history) * row]
     return latest.reshape(history, dots, len(CHANNELS))
-
-
-@njit(cache=True)
-def latest_extras(record: NDArray[np.void]) -> NDArray[np.float32]:
-    """Return the extras of the slices that `latest_slices` returns, (history, extras); record: of a `FeatureState`."""
-    state = record[0]
-    first, extras_ring = state["slices"] % state["history"], state["extras_ring"][:]
-    latest: NDArray[np.float32] = extras_ring[first : first + state["history"]]
-    return latest
 
 
 @njit(cache=True)

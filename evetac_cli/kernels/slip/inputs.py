@@ -2,14 +2,6 @@
 
 One kernel serves training, whole trajectories and the online detector, so all three see identical bits. It takes a
 series of slices, and the slices at which inputs end. The online detector passes its last slices as a series.
-
-Extras are optional inputs in addition to the dots: finger position, finger command, and sticking share. Per slice they
-are (extras,), in the order of EXTRAS, NaN for unknown ones. A slice has the values that were known at its start, as a
-detector that runs next to a gripper knows them; offline, the last reading and command at or before its start.
-
-Goals in ticks and in mA are combined into one command. Otherwise a network would learn the difference between trials
-that end in slip, under a falling current, and grasps, which have goals in ticks. A goal current is converted to the
-ticks that press as hard.
 """
 
 from collections.abc import Iterable, Sequence
@@ -25,13 +17,10 @@ from evetac_cli.kernels.event_drawing import images_ending
 from evetac_cli.kernels.slip import features
 from evetac_cli.kernels.slip.architectures import (
     CHANNELS,
-    EXTRAS,
     GEL_PX,
-    IN_TICKS,
     Architecture,
     ChannelView,
     DotArchitecture,
-    ExtraView,
     ImageArchitecture,
     MemoryArchitecture,
     OverImages,
@@ -39,14 +28,6 @@ from evetac_cli.kernels.slip.architectures import (
 )
 from evetac_cli.kernels.slip.features import EventImages, GelEvents
 from evetac_cli.kernels.slip.load_path import EVERY, LoadPath
-
-# Conversion of a goal current: 0.40 N/mA of the servo over some 0.2 N per tick of further closing (both simulated; on a
-# real gripper neither has been measured). An error within a factor of two hardly changes the network's input.
-TICKS_PER_MA = 2.0
-# Limit on changes in ticks: a change of the control mode is a step of 100 ticks, and one such step would set the
-# normalisation of the input.
-MOST_CHANGE = 10.0
-UNKNOWN_EXTRAS = np.full(len(EXTRAS), np.nan, np.float32)
 
 
 def known_at_start(t_us: NDArray[np.int64], values: NDArray[np.number], slices: int) -> NDArray[np.float32]:
@@ -57,119 +38,8 @@ def known_at_start(t_us: NDArray[np.int64], values: NDArray[np.number], slices: 
     return result
 
 
-def extra_columns(
-    slices: int,
-    position_ticks: NDArray[np.float32] | None = None,
-    goal_ticks: NDArray[np.float32] | None = None,
-    goal_ma: NDArray[np.float32] | None = None,
-    sticking_share: NDArray[np.float32] | None = None,
-) -> NDArray[np.float32]:
-    """Return extras (slices, extras) from quantities per slice, (slices,) each."""
-    unknown = np.full(slices, np.nan, np.float32)
-    all_columns = [unknown if each is None else each for each in (position_ticks, goal_ticks, goal_ma, sticking_share)]
-    assert all(each.shape == (slices,) for each in all_columns)
-    position, goal, current, sticking = all_columns
-    command = np.where(np.isnan(goal), current * np.float32(TICKS_PER_MA), goal)
-    return np.stack([position, command, sticking], axis=1).astype(np.float32)
-
-
-def extra_table(views: Sequence[ExtraView]) -> NDArray[np.int64]:
-    """Return the views for `fill_extras`, flat: per view its extra, newest or not, number and lengths of changes."""
-    numbers: list[int] = []
-    for view in views:
-        numbers += [EXTRAS.index(view.extra), int(view.newest), len(view.changes_ms), *view.changes_ms]
-    return np.array(numbers, np.int64)
-
-
-def extra_inputs(architecture: DotArchitecture) -> dict[str, slice]:
-    """Return the inputs of a dot that belong to each extra of a network."""
-    first, places = architecture.own_inputs, {}
-    for view in architecture.extras:
-        places[view.extra] = slice(first, first + view.width)
-        first += view.width
-    return places
-
-
-def scaled_inputs(architecture: DotArchitecture) -> NDArray[np.bool_]:
-    """Return which inputs of a dot, (inputs,), scale with the forces: all of its own, and changes in ticks."""
-    scaled = np.arange(architecture.inputs_per_dot) < architecture.own_inputs
-    for extra, place in extra_inputs(architecture).items():
-        if extra in IN_TICKS:
-            scaled[place.start + 1 : place.stop] = True
-    return scaled
-
-
-def never_known(architecture: DotArchitecture, training_extras: NDArray[np.float32] | None) -> NDArray[np.bool_]:
-    """Return which inputs of a dot, (inputs,), belong to extras that are unknown in all training slices.
-
-    The network has not learned their meaning and must not see them later, so its scale for them is 0.
-    training_extras: (slices, extras), of all training slices.
-    """
-    unknown = np.zeros(architecture.inputs_per_dot, np.bool_)
-    for extra, place in extra_inputs(architecture).items():
-        unknown[place] = training_extras is None or not np.isfinite(training_extras[:, EXTRAS.index(extra)]).any()
-    return unknown
-
-
-def learned_extras(architecture: DotArchitecture, input_scale: NDArray[np.float32]) -> tuple[str, ...]:
-    """Return the extras that a network has learned to use, from the scale of its inputs (inputs,)."""
-    return tuple(extra for extra, place in extra_inputs(architecture).items() if input_scale[place].any())
-
-
-def leave_out_extras(architecture: DotArchitecture, batch: NDArray[np.float32], left_out: NDArray[np.bool_]) -> None:
-    """Set extras to unknown in inputs (samples, dots, inputs): of the gripper, and of the sticking share.
-
-    left_out: (samples, 2).
-    """
-    for extra, place in extra_inputs(architecture).items():
-        batch[left_out[:, 0 if extra in IN_TICKS else 1], :, place] = 0.0
-
-
-@njit(cache=True)
-def fill_extras(
-    extras: NDArray[np.float32],
-    ends: NDArray[np.int64],
-    views: NDArray[np.int64],
-    first: int,
-    inputs: NDArray[np.float32],
-) -> None:
-    """Write the extras of a series (slices, extras), for samples that end at these slices, into inputs from `first` on.
-
-    inputs: (samples, dots, inputs). views: from `extra_table`. Nothing is checked.
-    """
-    for sample in range(ends.shape[0]):
-        end, column, at = ends[sample], first, 0
-        while at < views.shape[0]:
-            extra, newest, changes = views[at], views[at + 1], views[at + 2]
-            now = extras[end, extra]
-            is_known = np.isfinite(now)
-            for number in range(changes):
-                is_known &= np.isfinite(extras[end - views[at + 3 + number], extra])
-            for dot in range(inputs.shape[1]):
-                inputs[sample, dot, column] = np.float32(is_known)
-            column += 1
-            for number in range(newest + changes):
-                value = np.float32(0.0)
-                if is_known:
-                    value = now
-                    if number >= newest:
-                        value = now - extras[end - views[at + 3 + number - newest], extra]
-                        value = min(max(value, np.float32(-MOST_CHANGE)), np.float32(MOST_CHANGE))
-                for dot in range(inputs.shape[1]):
-                    inputs[sample, dot, column] = value
-                column += 1
-            at += 3 + changes
-
-
-class DotsAndExtras(NamedTuple):
-    """Features of dots (slices, n, channels) and extras (slices, extras), NaN for unknown ones."""
-
-    dots: NDArray[np.float32]
-    extras: NDArray[np.float32]
-
-
 OfEvents = EventImages | GelEvents
-Series = NDArray[np.float32] | DotsAndExtras | OfEvents | LoadPath
+Series = NDArray[np.float32] | OfEvents | LoadPath
 
 
 class Trajectory(NamedTuple):
@@ -192,8 +62,6 @@ def part(series: Series, first: int, last: int) -> Series:
     if isinstance(series, OfEvents):
         columns: list[Any] = [column.copy() for column in series.part(first, last)]
         return type(series)(*columns)
-    if isinstance(series, DotsAndExtras):
-        return DotsAndExtras(*(column[first:last].copy() for column in series))
     return series[first:last].copy()
 
 
@@ -229,8 +97,6 @@ def join(parts: Iterable[Series]) -> Series:
     for part in left:
         for column, rows in zip(columns, _columns(part), strict=True):
             column.add(rows)
-    if isinstance(first, DotsAndExtras):
-        return DotsAndExtras(*(column.joined() for column in columns))
     if not isinstance(first, OfEvents):
         return columns[0].joined()
     counts, *rest = (column.joined() for column in columns)
@@ -242,27 +108,22 @@ def _columns(series: Series) -> Sequence[NDArray[Any]]:
     if isinstance(series, OfEvents):
         return np.diff(series.start), *series[1:]
     assert not isinstance(series, LoadPath)
-    return series if isinstance(series, DotsAndExtras) else (series,)
+    return (series,)
 
 
 def length(series: Series) -> int:
     """Return the number of slices of a series."""
     if isinstance(series, LoadPath):
         return series.slices
-    return len(series.start) - 1 if isinstance(series, OfEvents) else len(dots_of(series))
-
-
-def dots_of(series: NDArray[np.float32] | DotsAndExtras) -> NDArray[np.float32]:
-    """Return the features of dots alone, (slices, n, channels)."""
-    return series.dots if isinstance(series, DotsAndExtras) else series
+    return len(series.start) - 1 if isinstance(series, OfEvents) else len(series)
 
 
 def at(architecture: Architecture, series: Series, slices: NDArray[np.integer]) -> NDArray[np.float32]:
     """Return the network inputs of the samples that end at these slices of a series, for a network without memory.
 
-    Dots: (slices, n, channels) as from `features.series`, with all channels that are viewed -> (samples, n,
-    inputs_per_dot); without extras, all extras are unknown. Images: `EventImages` -> (samples, history, height, width),
-    newest first. Images of plug-ins: `GelEvents` -> (samples, images * channels, height, width), newest first.
+    Dots: (slices, n, channels) as from `features.series` -> (samples, n, inputs_per_dot). Images: `EventImages` ->
+    (samples, history, height, width), newest first. Images of plug-ins: `GelEvents` -> (samples, images * channels,
+    height, width), newest first.
     """
     assert not isinstance(architecture, MemoryArchitecture) and not isinstance(series, LoadPath)
     ends = np.asarray(slices).astype(np.int64, casting="same_kind")
@@ -281,15 +142,9 @@ def at(architecture: Architecture, series: Series, slices: NDArray[np.integer]) 
             stack[:] = _stack(architecture, series.part(end + 1 - architecture.history, end + 1))
         return stacks
     assert not isinstance(series, OfEvents)
-    views, of_dots = view_table(architecture.views), dots_of(series)
-    assert of_dots.ndim == 3 and views[:, 0].max() < of_dots.shape[2] <= len(CHANNELS)
-    dots = np.empty((len(ends), of_dots.shape[1], architecture.inputs_per_dot), np.float32)
-    fill(of_dots, ends, views, dots)
-    if architecture.extras:
-        shape = len(of_dots), len(EXTRAS)
-        values = series.extras if isinstance(series, DotsAndExtras) else np.broadcast_to(UNKNOWN_EXTRAS, shape)
-        assert values.shape == shape
-        fill_extras(values, ends, extra_table(architecture.extras), architecture.own_inputs, dots)
+    assert series.ndim == 3 and series.shape[2] == len(CHANNELS)
+    dots = np.empty((len(ends), series.shape[1], architecture.inputs_per_dot), np.float32)
+    fill(series, ends, view_table(architecture.views), dots)
     return dots
 
 
@@ -311,8 +166,7 @@ def turn(
 ) -> NDArray[np.float32]:
     """Return a batch whose samples are rotated by their quarter turns, 0 to 3, and multiplied by their factors.
 
-    The rotation is that of `features.rotate`; displacements with a direction rotate with it, extras stay the same.
-    After a quarter turn counter-clockwise, right becomes up, so x becomes y and y becomes -x.
+    The rotation is that of `features.rotate`.
     """
     if isinstance(architecture, OverImages):
         images = batch * factors.reshape(-1, 1, 1, 1)
@@ -324,34 +178,20 @@ def turn(
         return images
     assert isinstance(architecture, DotArchitecture)
     result = np.empty_like(batch)
-    own = architecture.own_inputs
-    _turn(batch, turns, factors, *_turning(architecture, rows, columns), result)
-    if architecture.extras:
-        scaled = scaled_inputs(architecture)[own:]
-        result[:, :, own:] = np.where(scaled, batch[:, :, own:] * factors.reshape(-1, 1, 1), batch[:, :, own:])
+    _turn(batch, turns, factors, _turning(rows, columns), result)
     return result
 
 
 @lru_cache
-def _turning(
-    architecture: DotArchitecture, rows: int, columns: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
-    """Return, for 0 to 3 turns, each dot's source dot or -1, (4, n); and each input's source and sign, (4, inputs)."""
+def _turning(rows: int, columns: int) -> NDArray[np.int64]:
+    """Return, for 0 to 3 turns, the dot from which each dot takes its inputs, or -1, (4, n)."""
     places = np.arange(1, rows * columns + 1, dtype=np.float32).reshape(1, rows, columns, 1)
-    was = np.stack([features.rotate(places, times).reshape(-1) for times in range(4)]).astype(np.int64) - 1
-    column = np.tile(np.arange(architecture.own_inputs), (4, 1))
-    sign = np.ones(column.shape, np.float32)
-    right, down = architecture.channel_columns("x"), architecture.channel_columns("y")
-    for times in (1, 2, 3):
-        before = times - 1
-        column[times, right], sign[times, right] = column[before, down], sign[before, down]
-        column[times, down], sign[times, down] = column[before, right], -sign[before, right]
-    return was, column, sign
+    return np.stack([features.rotate(places, times).reshape(-1) for times in range(4)]).astype(np.int64) - 1
 
 
 def view_table(views: Sequence[ChannelView]) -> NDArray[np.int64]:
-    """Return the views of an architecture for `fill`, (views, 5): channel, recent, block, means, change or not."""
-    rows = [(CHANNELS.index(view.channel), view.recent, view.block, view.means, view.change) for view in views]
+    """Return the views of an architecture for `fill`, (views, 4): channel, recent, block, means."""
+    rows = [(CHANNELS.index(view.channel), view.recent, view.block, view.means) for view in views]
     return np.array(rows, np.int64)
 
 
@@ -371,7 +211,7 @@ def fill(
         end = ends[sample]
         first = 0
         for view in range(views.shape[0]):
-            channel, recent, block, means, change = views[view]
+            channel, recent, block, means = views[view]
             for ago in range(recent):
                 for dot in range(dots):
                     inputs[sample, dot, first + ago] = series[end - ago, dot, channel]
@@ -396,14 +236,6 @@ def fill(
                         for dot in range(dots):
                             inputs[sample, dot, column] = total[dot * channels + channel] / np.float32(block)
                     first += views[other, 1] + views[other, 3]
-        first = 0
-        for view in range(views.shape[0]):
-            width = views[view, 1] + views[view, 3]
-            if views[view, 4]:
-                for dot in range(dots):
-                    for column in range(first + 1, first + width):
-                        inputs[sample, dot, column] = inputs[sample, dot, first] - inputs[sample, dot, column]
-            first += width
 
 
 @njit(cache=True)
@@ -412,17 +244,14 @@ def _turn(
     turns: NDArray[np.int64],
     factors: NDArray[np.float32],
     was: NDArray[np.int64],
-    column: NDArray[np.int64],
-    sign: NDArray[np.float32],
     result: NDArray[np.float32],
 ) -> None:
     for sample in range(batch.shape[0]):
         times, factor = turns[sample], factors[sample]
         for dot in range(batch.shape[1]):
             before = was[times, dot]
-            for place in range(column.shape[1]):
-                value = batch[sample, before, column[times, place]] if before >= 0 else np.float32(0)
-                result[sample, dot, place] = sign[times, place] * value * factor
+            for place in range(batch.shape[2]):
+                result[sample, dot, place] = factor * batch[sample, before, place] if before >= 0 else np.float32(0)
 
 
 @njit(cache=True)

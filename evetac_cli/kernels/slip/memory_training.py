@@ -26,7 +26,6 @@ from evetac_cli.kernels.slip.load_path import EVERY, LoadPath
 from evetac_cli.kernels.slip.networks import MemoryNet, build, from_weights, weights
 from evetac_cli.kernels.slip.training import (
     CURVE_POINTS,
-    LEFT_OUT_SHARE,
     PROGRESS_STEPS,
     Checkpoint,
     Preset,
@@ -39,6 +38,7 @@ from evetac_cli.kernels.slip.training import (
 Singles = NDArray[np.float32]
 CHUNK, STREAMS = 80, 32  # steps of a contact per step of the optimiser, and contacts at a time
 AFTER_MS = 60  # of a slip, after which steps do not count: the object slides, and nothing is left to foresee
+WITHOUT_GRIPPER = 0.3  # share of the contacts in which it is unknown, so that one model also works without
 CHECKPOINTS = 10
 DROPOUT = 0.1
 MOST_GRADIENT = 1.0
@@ -163,7 +163,7 @@ def _chunks(contacts: Sequence[Contact], rng: np.random.Generator) -> Iterator[_
             rest = left[stream]
             if rest is None:
                 order = order or rng.permutation(len(contacts)).tolist()
-                rest = _without_gripper(contacts[order.pop()], unknown=rng.random() < LEFT_OUT_SHARE)
+                rest = _without_gripper(contacts[order.pop()], unknown=rng.random() < WITHOUT_GRIPPER)
                 skipped = int(rng.integers(min(CHUNK, len(rest.numbers)))) if is_first else 0
                 rest = Contact(*(column[skipped:] for column in rest))
             rows.append([_filled(column[:CHUNK]) for column in rest])
@@ -276,7 +276,7 @@ def _normalisation(contacts: Sequence[Contact]) -> tuple[NDArray[np.float64], ND
     known = np.concatenate([one.numbers for one in contacts]).astype(np.float64)
     unknown = known.copy()
     unknown[:, OF_GRIPPER] = 0
-    parts = (1 - LEFT_OUT_SHARE, known), (LEFT_OUT_SHARE, unknown)
+    parts = (1 - WITHOUT_GRIPPER, known), (WITHOUT_GRIPPER, unknown)
     mean = sum((share * values.mean(axis=0) for share, values in parts), np.zeros(known.shape[1]))
     square = sum((share * np.square(values - mean).mean(axis=0) for share, values in parts), np.zeros(len(mean)))
     spread = np.sqrt(square)

@@ -104,7 +104,7 @@ def _sorted(
     for trajectory in trajectories:
         count += 1
         assert len(trajectory.label) == len(trajectory.events_outside) == inputs.length(trajectory.series)
-        assert isinstance(trajectory.series, OfEvents | LoadPath) or inputs.dots_of(trajectory.series).shape[1] == dots
+        assert isinstance(trajectory.series, OfEvents | LoadPath) or trajectory.series.shape[1] == dots
         members = _members(trajectory.label, trajectory.onset, trajectory.events_outside, architecture, horizon_ms)
         used = np.logical_or.reduce([*members.values()])
         if not used.any():

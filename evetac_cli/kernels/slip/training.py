@@ -13,9 +13,6 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from evetac_cli.errors import check_range
-from evetac_cli.kernels.slip import inputs
-from evetac_cli.kernels.slip.architectures import DotArchitecture
-from evetac_cli.kernels.slip.inputs import DotsAndExtras
 from evetac_cli.kernels.slip.networks import SlipNetwork, build, from_weights, weights
 from evetac_cli.kernels.slip.sampling import (
     STILL_DRAWN,
@@ -29,9 +26,6 @@ from evetac_cli.kernels.slip.sampling import (
 
 CURVE_POINTS = 100  # of the loss curve
 PROGRESS_STEPS = 10  # steps between two calls of the progress hook
-# Share of the samples in which the gripper is unknown; the same, independently, for the sticking share. So one model
-# also works without them.
-LEFT_OUT_SHARE = 0.3
 SAVE_STEPS = 50  # steps between two saved states from which a run can be resumed, see `train`
 
 
@@ -171,8 +165,7 @@ def train(
         checkpoint_steps = set(evenly(steps, len(checkpoint_epochs)))
     points = set(evenly(steps, CURVE_POINTS))
 
-    seeds, draws, turns, gains, leaves_out = rng.spawn(5)
-    architecture = groups.first.architecture
+    seeds, draws, turns, gains = rng.spawn(4)
     network = _network(groups.first, preset, int(seeds.integers(2**63)), start)
     run = _TrainingRun(*network, preset, device, steps, planned)
     if resume_from is not None:
@@ -181,14 +174,11 @@ def train(
         ends = np.concatenate(batch)
         turned = quarter_turns(len(ends), turns)
         factor = factors(preset, len(ends), gains)
-        left_out = leaves_out.random((len(ends), 2)) < LEFT_OUT_SHARE
         if step <= run.step:
             continue  # done before the interruption
         target = torch.zeros(len(ends))
         target[: len(batch.slip)] = 1
         varied = augment(groups.now, groups.now.inputs(ends), turned, factor)
-        if isinstance(architecture, DotArchitecture) and architecture.extras:
-            inputs.leave_out_extras(architecture, varied, left_out)
         run.advance(varied, target, groups.now.slip_share[ends], (step - 1) / steps, len(batch.still))
         if on_progress and (step % PROGRESS_STEPS == 0 or step == steps):
             on_progress(step, steps)
@@ -385,11 +375,6 @@ def _network(
         offset, spread = channel_stats(samples)
         # a channel that varies only by rounding carries no information: it is shifted to 0, not amplified
         scale = 1 / np.where(spread > 1e-6 * np.abs(offset), spread, 1)
-    architecture = samples.architecture
-    if isinstance(architecture, DotArchitecture) and architecture.extras and start is None:
-        values = samples.series.extras if isinstance(samples.series, DotsAndExtras) else None
-        unknown = inputs.never_known(architecture, values)
-        scale = np.where(unknown, 0.0, 1.0 if scale is None else scale)
     with torch.random.fork_rng(devices=[]):  # torch draws initial weights from its global generator only
         torch.manual_seed(seed)
         network = build(samples.architecture, *shape, scale, offset)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from evetac_cli.events import SLICE_US, SLICES_PER_S
 from evetac_cli.kernels.grip.paper import GraspPhase
 from evetac_cli.kernels.slip.alarms import alarming
+from evetac_cli.kernels.slip.architectures import MemoryArchitecture
 from evetac_cli.pages.shared import BLUE, GREEN, INK, ORANGE, PINK, UNKNOWN
 from evetac_cli.pages.view.trial_files import OpenTrial
 from evetac_cli.pages.view.view_data import Lane, Panel, Series
@@ -257,19 +258,19 @@ def model_output(trial: OpenTrial, span: tuple[int, int]) -> NDArray[np.float32]
     """Return the slip probability of each slice of the span, NaN before the first; None without a model or features."""
     if trial.model is None or trial.model_input is None:
         return None
-    from evetac_cli.stages.slip_detectors import load_detector, read_series
+    from evetac_cli.stages.slip_detectors import first_needed, load_detector, probabilities, read_series
 
     detector = load_detector(trial.model)
     start = span[0]
     length = _length(trial.model_input, "displacement_px", span)
     probability = np.full(length, np.nan, np.float32)
-    for first in range(0, length, BLOCK_ROWS):
-        last = min(first + BLOCK_ROWS, length)
-        # the full history, and the slices for which a prediction is held
-        before = min(start + first, detector.architecture.history + detector.architecture.every - 2)
-        rows = slice(start + first - before, start + last)
-        series = read_series(trial.model_input, detector.architecture, rows.start, rows.stop)
-        probability[first:last] = detector.over(series, rows.start)[before:]
+    # A network with memory needs all slices before, which are therefore read only once.
+    at_once = max(1, length) if isinstance(detector.architecture, MemoryArchitecture) else BLOCK_ROWS
+    for first in range(0, length, at_once):
+        last = min(first + at_once, length)
+        begin = first_needed(detector.architecture, start + first)
+        series = read_series(trial.model_input, detector.architecture, begin, start + last)
+        (probability[first:last],) = probabilities([detector], series, start + first)
     return probability
 
 

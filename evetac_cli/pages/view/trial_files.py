@@ -156,10 +156,17 @@ def _one_recording(files: list[StageFile]) -> str:
 
 
 def _find_model_input(trial: OpenTrial, stack: ExitStack, progress: Progress) -> None:
-    """Set the features for the model, which are computed if there are none; a note says so, or why that failed."""
+    """Set the features for the model; a note says that they were computed, or why that failed.
+
+    They are computed if there are none, or if those that exist lack the sticking share that the model needs.
+    """
     trial.model_input = trial.features
-    if trial.model is None or trial.features is not None:
+    if trial.model is None:
         return
+    needed = _needed_features(trial.model)
+    if trial.features is not None and (trial.features.has("slip_begun") or not needed.sticking_share):
+        return
+    trial.model_input = None
     if trial.recording is None:
         trial.notes.append("No slip probability: it needs the recording or its features.")
         return
@@ -171,7 +178,7 @@ def _find_model_input(trial: OpenTrial, stack: ExitStack, progress: Progress) ->
             track.run(Job((path,), tracks), Track(), progress=progress)
         else:
             tracks = trial.tracks.path
-        featurize.run(Job((path, tracks), features), _needed_features(trial.model), progress=progress)
+        featurize.run(Job((path, tracks), features), needed, progress=progress)
     except (InputError, UnavailableError) as error:
         trial.notes.append(f"No slip probability: {str(error).splitlines()[0]}")
         return

@@ -36,7 +36,7 @@ if TYPE_CHECKING:  # torch takes more than a second to import
 
 Weights = dict[str, NDArray[np.float32]]
 COMPARED = 64  # inputs of a file on which the two forms of a plug-in's network are compared
-# Probability. evetac's nine networks on dots differ by at most 6e-7 after training, and by 4e-6 with random weights of
+# Probability. evetac's networks on dots differ by at most 6e-7 after training, and by 4e-6 with random weights of
 # standard deviation 0.3, over inputs of three simulated slips.
 FORMS_AGREE = 1e-4
 SAVE_S = 30.0  # interval of saving: the most work lost when a run is interrupted

@@ -5,7 +5,6 @@ from pathlib import Path
 
 from evetac_cli.kernels.slip.architectures import (
     CHANNELS,
-    EXTRAS,
     Architecture,
     ImageArchitecture,
     MemoryArchitecture,
@@ -15,7 +14,7 @@ from evetac_cli.kernels.slip.architectures import (
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.layout.provenance import Recipe
 
-# Limit for features in memory: 6.7 million slices of 56 dots without directions, or half as many with directions.
+# Limit for features in memory: 6.7 million slices of 56 dots.
 HELD_BYTES = 3_000_000_000
 
 
@@ -29,8 +28,7 @@ def series_bytes(file: StageFile, architecture: Architecture) -> int:
     slices, dots = file.contents()["displacement_px"][1]
     if isinstance(architecture, MemoryArchitecture):
         return slices // architecture.every * (4 * channels(architecture) + 1)
-    values = dots * (len(CHANNELS) if architecture.sees_direction else 2)
-    return 4 * slices * (values + (len(EXTRAS) if architecture.extras else 0))
+    return 4 * slices * dots * len(CHANNELS)
 
 
 def group_parameters(memory_bytes: Sequence[int]) -> dict[str, int]:

@@ -228,5 +228,5 @@ def named_architecture(name: str) -> Architecture:
     if architecture is None:
         others = plugins.usable(plugins.NETWORKS)
         names = ", ".join((*ARCHITECTURES, *others))
-        raise ValueError(f"one of {names}; if it is from a plug-in, install that")
+        raise ValueError(f"one of {names}; if it is from a plug-in, install that, else train again")
     return architecture

@@ -70,7 +70,7 @@ class OnlineSlipDetector:
     live: LiveDetector
     alarm: AlarmState
     probability: float = float("nan")
-    sticking: StickingShare | None = None  # for a network trained with the sticking share, or a law that needs it
+    sticking: StickingShare | None = None  # for a network or a law that needs it
     _gripper_state: tuple[float, float] = (float("nan"), float("nan"))  # position and goal of the gripper
 
     @classmethod
@@ -97,7 +97,7 @@ class OnlineSlipDetector:
         live = LiveDetector(detector, tracking, window_px, sensor, dots)
         tracker.mean_displacement_px(tracking.record)  # compiles or loads it now instead of in the first slice
         started = cls(live, alarms.start(threshold))
-        if "sticking" in detector.learned_extras:
+        if detector.needs_sticking:
             started.measure_sticking()
         return started
 

@@ -94,7 +94,7 @@ def test_every_architecture_is_a_candidate(untrained: list[models.Candidate]) ->
     assert {name: parameters[name] for name in expected} == expected
 
 
-@pytest.mark.parametrize("name", ["fast-slow", "down5", "disp-xy", "hist10-img-6x6"])
+@pytest.mark.parametrize("name", ["fast-slow", "down5", "load-path", "hist10-img-6x6"])
 def test_a_step_is_a_whole_one(untrained: list[models.Candidate], monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     """Assert that a timed step tracks 500 events, and predicts as often as the network does."""
     (candidate,) = (one for one in untrained if one.setting == name)
@@ -115,7 +115,7 @@ def test_a_step_is_a_whole_one(untrained: list[models.Candidate], monkeypatch: p
         step()
     assert seen == [500] * 11
     assert np.diff(tracked).tolist() == [1] * 10
-    assert np.count_nonzero(np.diff(said)) == 10 / candidate.detector.architecture.every
+    assert np.count_nonzero(np.diff(np.nan_to_num(said))) == 10 / candidate.detector.architecture.every
 
 
 def test_figures_are_those_of_evaluate_slip(files: dict[str, list[Path]], quick: None, tmp_path: Path) -> None:

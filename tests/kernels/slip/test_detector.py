@@ -69,7 +69,7 @@ def make_series(name: str, slices: int) -> inputs.Series:
     for k, one in enumerate(columns):
         tracker.step(state, *one)
         stored[k], counts[k] = state.dot_xy_px, state.events_per_dot
-    return features.series(features.displacement(stored, REST), counts, features.displacement_xy(stored, REST))
+    return features.series(features.displacement(stored, REST), counts)
 
 
 @pytest.mark.parametrize("name", ROWS)
@@ -113,7 +113,7 @@ def test_a_column_more_is_tracked_and_not_seen() -> None:
         stored[k], counts[k] = state.dot_xy_px[known], state.events_per_dot[known]
         online.append(live.step(*events))
         assert live.tracking.record.tobytes() == state.record.tobytes()
-    series = features.series(features.displacement(stored, REST), counts, features.displacement_xy(stored, REST))
+    series = features.series(features.displacement(stored, REST), counts)
     np.testing.assert_array_equal(np.array(online, np.float32), result.over(series))
 
 
@@ -128,7 +128,7 @@ def test_down5_predicts_every_fifth_slice_and_holds() -> None:
         assert probabilities[t] == alone[0]
 
 
-@pytest.mark.parametrize("name", ["hist10", "down5", "disp-xy"])
+@pytest.mark.parametrize("name", ["hist10", "down5", "fast-slow"])
 @pytest.mark.parametrize("first", [1, 4, 17])
 def test_a_part_is_judged_as_in_the_whole(name: str, first: int) -> None:
     """Assert that a part of a trajectory, told where it begins, has the whole's probabilities once history is full."""

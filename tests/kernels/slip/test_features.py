@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from evetac_cli.kernels.event_representation import event_image
 from evetac_cli.kernels.slip import features
-from evetac_cli.kernels.slip.architectures import Factors
 from evetac_cli.kernels.slip.features import DOT_CAPACITY, HISTORY_CAPACITY
 
 REST = np.array([[100.0, 50.0], [200.0, 50.0], [np.nan, np.nan]])
@@ -49,14 +48,12 @@ def test_live_equals_recording(seed: int, history: int, n: int) -> None:
     slices = 2 * history + 3
     rest, tracks, events = random_tracks(seed, slices, n)
     stored = tracks.astype(np.float32)
-    factors = Factors(1.2, 8.0 / 7.3) if seed % 2 else Factors()
-    distance, across = features.displacement(stored, rest), features.displacement_xy(stored, rest)
-    expected = features.series(distance, events, across, factors)
-    assert expected.shape == (slices, n, 4)
-    np.testing.assert_allclose(expected[..., 1], factors.events * events, rtol=1e-6)
-    np.testing.assert_allclose(expected[..., 0], factors.displacement * distance, rtol=1e-6)
-    np.testing.assert_allclose(expected[..., 2:], factors.displacement * across, rtol=1e-6)
-    state = features.start(rest, history, factors)
+    distance = features.displacement(stored, rest)
+    expected = features.series(distance, events)
+    assert expected.shape == (slices, n, 2)
+    np.testing.assert_array_equal(expected[..., 0], distance)
+    np.testing.assert_array_equal(expected[..., 1], events)
+    state = features.start(rest, history)
     for k in range(slices):
         features.step(state, tracks[k], events[k])
         if k >= history - 1:
@@ -71,19 +68,19 @@ def test_the_largest_state_fits() -> None:
     state = features.start(rest, HISTORY_CAPACITY)
     for dot_xy_px, counts in zip(tracks, events, strict=True):
         features.step(state, dot_xy_px, counts)
-    expected = features.series(features.displacement(tracks, rest), events, features.displacement_xy(tracks, rest))
+    expected = features.series(features.displacement(tracks, rest), events)
     assert features.latest_slices(state.record).tobytes() == expected[5:].tobytes()
 
 
 def test_channels_by_hand() -> None:
-    """Assert the order of slices (oldest first) and of channels: distance, events, right, down."""
+    """Assert the order of slices (oldest first) and of channels: distance, events."""
     rest = np.array([[10.0, 10.0], [20.0, 20.0]])
     state = features.start(rest, 2)
     for k in range(5):
         features.step(state, rest + np.array([[k, 0], [0, -10 * k]]), np.array([100 + k, 200 + k], np.int32))
     assert features.latest_slices(state.record).tolist() == [
-        [[3, 103, 3, 0], [30, 203, 0, -30]],
-        [[4, 104, 4, 0], [40, 204, 0, -40]],
+        [[3, 103], [30, 203]],
+        [[4, 104], [40, 204]],
     ]
 
 

@@ -8,7 +8,6 @@ from evetac_cli.kernels.slip import features, inputs
 from evetac_cli.kernels.slip.architectures import (
     ARCHITECTURES,
     Architecture,
-    ChannelView,
     DotArchitecture,
     ImageArchitecture,
 )
@@ -20,7 +19,7 @@ SMALL = {name: row for name, row in ARCHITECTURES.items() if name in DOTS or nam
 
 def dots(slices: int, n: int = 56, seed: int = 0) -> NDArray[np.float32]:
     """Random features of all channels."""
-    return np.random.default_rng(seed).normal(0, 3, (slices, n, 4)).astype(np.float32)
+    return np.random.default_rng(seed).normal(0, 3, (slices, n, 2)).astype(np.float32)
 
 
 def images(slices: int, seed: int = 0) -> EventImages:
@@ -67,7 +66,7 @@ def by_the_paper(name: str, series: NDArray[np.float32], t: int) -> NDArray[np.f
     return np.stack(columns[name], axis=-1)
 
 
-@pytest.mark.parametrize("name", [name for name in DOTS if not name.startswith("disp-xy")])
+@pytest.mark.parametrize("name", DOTS)
 def test_inputs_are_the_papers(name: str) -> None:
     """Assert that each dot model sees what the paper's table of model configurations says, in its order."""
     series = dots(60)
@@ -75,15 +74,6 @@ def test_inputs_are_the_papers(name: str) -> None:
     assert result.dtype == np.float32
     for row, t in zip(result, (59, 52), strict=True):
         np.testing.assert_allclose(row, by_the_paper(name, series, t), rtol=1e-5, atol=1e-5)
-
-
-def test_changes_by_hand() -> None:
-    """Assert that a view of changes gives the newest value, then newest minus value and newest minus block mean."""
-    view = ChannelView("events", 2, 2, 2, change=True)
-    series = np.zeros((4, 1, 4), np.float32)
-    series[:, 0, 1] = [1, 2, 4, 10]
-    result = inputs.at(DotArchitecture("", (view,), 1, 1), series, np.array([3]))
-    assert result.tolist() == [[[10, 6, 10 - 7, 10 - 1.5]]]
 
 
 def test_images_by_hand() -> None:
@@ -127,20 +117,24 @@ def test_series_are_cut_and_joined(row: Architecture) -> None:
 
 
 @pytest.mark.parametrize("turns", [1, 2, 3])
-def test_directions_turn_with_the_grid(turns: int) -> None:
-    """Assert that rotating inputs is what turning the gel would give: dots change places, displacements direction."""
-    row = ARCHITECTURES["disp-xy"]
-    assert isinstance(row, DotArchitecture)
+def test_turned_inputs_are_those_of_the_turned_grid(turns: int) -> None:
+    """Assert that rotating inputs is what turning the gel would give."""
+    row = ARCHITECTURES["fast-slow"]
     series = dots(100)
     result = quarter_turned(row, inputs.at(row, series, np.array([99])), turns)
-    turned = series.copy()
-    for _ in range(turns):
-        turned[..., 2:] = np.stack([turned[..., 3], -turned[..., 2]], axis=-1)
-    grid = features.rotate(turned.reshape(100, 7, 8, 4), turns).reshape(100, 56, 4)
-    np.testing.assert_allclose(result, inputs.at(row, grid, np.array([99])), atol=1e-6)
+    grid = features.rotate(series.reshape(100, 7, 8, 2), turns).reshape(100, 56, 2)
+    np.testing.assert_array_equal(result, inputs.at(row, grid, np.array([99])))
 
 
-@pytest.mark.parametrize("name", ["hist10", "disp-xy", "hist10-img-6x6"])
+def test_a_slice_has_what_was_known_when_it_began() -> None:
+    """Assert that a reading at a slice's start counts for it and a later one for the next, and none comes first."""
+    t_us = np.array([1000, 2000, 3999, 4000])
+    known = inputs.known_at_start(t_us, np.array([7, 8, 9, 10], np.int32), 6)
+    np.testing.assert_array_equal(known, [np.nan, 7, 8, 8, 10, 10])
+    assert np.isnan(inputs.known_at_start(t_us[:0], np.empty(0), 2)).all()
+
+
+@pytest.mark.parametrize("name", ["hist10", "fast-slow", "hist10-img-6x6"])
 def test_quarter_turns_add_up_to_the_crop(name: str) -> None:
     """Assert that four quarter turns give back the middle square, and nothing beside it."""
     row = ARCHITECTURES[name]

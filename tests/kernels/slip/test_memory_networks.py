@@ -13,7 +13,6 @@ from evetac_cli.kernels.slip import features, inputs, load_path, networks, onnx_
 from evetac_cli.kernels.slip.architectures import (
     ARCHITECTURES,
     LOAD_PATH,
-    OF_GRIPPER,
     MemoryArchitecture,
     Sensitivity,
     Weights,
@@ -121,14 +120,6 @@ def test_live_is_over() -> None:
         online[k] = live.step(*one)
     np.testing.assert_array_equal(online, offline)
     assert np.isnan(online).any() and np.ptp(online[np.isfinite(online)]) > 1e-3
-
-
-def test_what_it_is_told() -> None:
-    """Assert that it wants the sticking share always, and the gripper if it has learned its meaning."""
-    weights = weights_of(7)
-    assert Detector(onnx_graphs.build(MEMORY, weights), MEMORY).learned_extras == ("position", "command", "sticking")
-    weights["input_scale"][OF_GRIPPER] = 0
-    assert Detector(onnx_graphs.build(MEMORY, weights), MEMORY).learned_extras == ("sticking",)
 
 
 def test_refusals() -> None:

@@ -21,13 +21,13 @@ def trajectory(slices: int, onset: int, busy: NDArray[np.bool_] | None = None, m
     if onset >= 0:
         label[onset:] = 1
     outside = np.where(np.ones(slices, bool) if busy is None else busy, 26, 25).astype(np.int32)
-    return Trajectory(np.full((slices, 56, 4), mark, np.float32), outside, label, onset)
+    return Trajectory(np.full((slices, 56, 2), mark, np.float32), outside, label, onset)
 
 
 def pools(slip: int, busy: int, quiet: int, still: int = 0) -> SlipSamples:
     """Give samples of which only the pools matter, with a different slice for each."""
     parts = np.split(np.arange(slip + busy + quiet + still), np.cumsum([slip, busy, quiet]))
-    series = np.zeros((0, 56, 4), np.float32)
+    series = np.zeros((0, 56, 2), np.float32)
     return SlipSamples(HIST10, 7, 8, series, *parts[:3], np.zeros(0, np.float32), parts[3])
 
 
@@ -53,7 +53,7 @@ def test_history_sets_the_first_sample_and_the_cut(history: int, first: int, sli
 def test_busy_means_more_than_25_events_outside_the_window() -> None:
     """Assert that 25 events are quiet and 26 busy, and that events beside dots do not decide."""
     one = trajectory(40, 30, np.arange(40) == 20)
-    samples = sampling.gather([one._replace(series=np.full((40, 56, 4), 100, np.float32))], HIST10)
+    samples = sampling.gather([one._replace(series=np.full((40, 56, 2), 100, np.float32))], HIST10)
     np.testing.assert_array_equal(samples.busy, [20])
     assert 20 not in samples.quiet
 
@@ -71,7 +71,7 @@ def test_share_of_slip_as_far_ahead_as_the_labels() -> None:
 def test_inputs_are_those_of_the_trajectory() -> None:
     """Assert that a sample holds what its slice has in the trajectory itself, and that unseen slices are not kept."""
     rng = np.random.default_rng(0)
-    one = trajectory(90, 60)._replace(series=rng.random((90, 56, 4), np.float32))
+    one = trajectory(90, 60)._replace(series=rng.random((90, 56, 2), np.float32))
     one.label[:40] = -1
     samples = sampling.gather([trajectory(50, 30), one], HIST10)
     selected = 60 + 15 - (40 - 9)

@@ -12,7 +12,7 @@ import torch
 from evetac_cli.kernels.slip import features, sampling, training
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
 from evetac_cli.kernels.slip.features import EventImages
-from evetac_cli.kernels.slip.inputs import DotsAndExtras, Trajectory
+from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.networks import from_weights
 from evetac_cli.kernels.slip.sampling import SlipSamples
 from evetac_cli.kernels.slip.training import ADAPT, PRESETS, SlipTraining
@@ -138,7 +138,7 @@ def test_adam_normalises_from_the_training_samples() -> None:
     """Assert that normalised inputs have mean 0 and spread 1 over a batch's mixture, and flat channels stay finite."""
     rng = np.random.default_rng(14)
     busy = np.arange(400) % 2 == 0
-    series = np.full((400, 56, 4), 7.3, np.float32)
+    series = np.full((400, 56, 2), 7.3, np.float32)
     series[..., 1] = rng.poisson(20, (400, 56))
     label = (np.arange(400) >= 380).astype(np.int8)
     one = Trajectory(series, np.where(busy, 26, 25).astype(np.int32), label, 380)
@@ -329,19 +329,9 @@ def test_of_what_never_slips_the_hardest_is_trained_on(monkeypatch: pytest.Monke
     assert np.all(np.array(kept_logits) >= np.array(other_logits))
 
 
-def test_a_run_with_stillness_and_extras_goes_on_to_the_same() -> None:
-    """Assert that choosing samples and leaving out extras are drawn again by a run that is resumed."""
-    grip = ARCHITECTURES["disp-xy-grip"]
-    rng = np.random.default_rng(2)
-    made = []
-    for slips in (True, False):
-        label = (np.arange(200) >= 150).astype(np.int8) * slips
-        dots = rng.normal(0, 1, (200, 56, 4)).astype(np.float32)
-        told = rng.normal(0, 1, (200, 3)).astype(np.float32)
-        told[:90, 2] = np.nan
-        outside = np.full(200, 30, np.int32)
-        made.append(Trajectory(DotsAndExtras(dots, told), outside, label, 150 if slips else -1))
-    samples = sampling.gather(made, grip)
+def test_a_run_with_stillness_goes_on_to_the_same() -> None:
+    """Assert that choosing samples is drawn again by a run that is resumed."""
+    samples = with_stillness(np.random.default_rng(2))
     saved: list[Any] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training, "SAVE_STEPS", 3)

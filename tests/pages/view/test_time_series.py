@@ -16,6 +16,7 @@ from evetac_cli.kernels.slip.architectures import ARCHITECTURES, UNKNOWN_SENSITI
 from evetac_cli.pages.view import collect_view, time_series
 from evetac_cli.pages.view.trial_files import open_trial
 from evetac_cli.pages.view.view_data import Panel, ViewData
+from evetac_cli.resources import MODEL
 from evetac_cli.store.recordings.read import open_recording
 from tests.conftest import Made
 from tests.pages.view.trials import ONSET, SLICES, moving, shown, write_labels, write_touch, write_tracks
@@ -73,9 +74,8 @@ def test_model_output(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Fake:
         architecture = ARCHITECTURES["hist10"]
 
-        def over(self, series: np.ndarray, first: int) -> np.ndarray:
-            mean = np.convolve(series[:, 0, 0], np.full(10, 0.1), "valid")
-            return np.concatenate((np.full(min(9, len(series)), np.nan), mean)).astype(np.float32)
+        def probability(self, batch: np.ndarray) -> np.ndarray:
+            return batch[:, 0, :10].mean(axis=1)
 
     monkeypatch.setattr("evetac_cli.stages.slip_detectors.load_detector", lambda model: Fake())
     displacement = np.linspace(0, 1, SLICES, dtype=np.float32)[:, None]
@@ -247,3 +247,12 @@ def test_missing_features_are_computed(made: Made, tmp_path: Path, with_tracks: 
     assert of_file is not None and of_recording is not None and np.isfinite(of_recording).any()
     np.testing.assert_array_equal(of_recording, of_file)
     assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_network_with_memory_sees_all_before_the_span(made: Made) -> None:
+    """Assert that it has the same probability in a part, from features that were computed for it."""
+    with open_trial([made.recordings[0], MODEL]) as trial:
+        assert trial.features is not None and "were computed as by evetac" in trial.notes[0]
+        whole, part = (time_series.model_output(trial, span) for span in ((0, trial.slices), (103, 200)))
+    assert whole is not None and np.isfinite(whole[103:200]).any()
+    np.testing.assert_array_equal(part, whole[103:200])

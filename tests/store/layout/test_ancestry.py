@@ -117,8 +117,8 @@ def test_the_pretrained_detector(tmp_path: Path) -> None:
     made = json.loads(MODEL.with_name("slip-10ms.json").read_text())
     assert sorted(map(int, found.objects)) == made["objects_trained_and_validated_on"]
     assert (found.labels, found.learned_true_slip_share) == ("truth", True)
-    assert found.scenes == "handling + lift + slip + slip-speeds + slip-varied"
-    assert len(recording_ids(found.header)) == len(found.header["trajectories"]) == 1156
+    assert "slip-varied" in found.scenes
+    assert len(recording_ids(found.header)) == len(found.header["trajectories"]) > made["training"]["trained_on"]
     seen = found.header["trajectories"][0]["recording"]
     judged = {**KNOWN, "id": seen, "history": {}}
     with pytest.raises(InputError, match="both trained on and evaluated on"):

@@ -18,8 +18,8 @@ from evetac_cli.kernels.grip.control import Control, SlipSignal
 from evetac_cli.kernels.grip.paper import PAPER, GraspPhase
 from evetac_cli.kernels.slip import networks, onnx_graphs
 from evetac_cli.kernels.slip.alarms import alarming
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES, with_scaled_logit
-from evetac_cli.kernels.slip.inputs import DotsAndExtras
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, LOAD_PATH, OF_GRIPPER, with_scaled_logit
+from evetac_cli.kernels.slip.load_path import LoadPath
 from evetac_cli.stages import featurize, track
 from evetac_cli.stages.model_files import chosen_threshold
 from evetac_cli.stages.slip_detectors import load_detector, read_series
@@ -75,13 +75,13 @@ def test_decisions_are_those_of_the_grasp(grasped: Path, tmp_path: Path) -> None
 
 def untrained(path: Path) -> Path:
     """A model that is told what the gripper does, with random weights of which the last tell much from little."""
-    architecture = ARCHITECTURES["disp-xy-grip"]
+    architecture = ARCHITECTURES["load-path"]
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(4)
         network = networks.build(architecture)
     with torch.no_grad():
-        of_nothing = float(network(torch.zeros(1, 56, 61))[0])
-    weights = with_scaled_logit(networks.weights(network), "fc5", 50.0, -50.0 * of_nothing)
+        of_nothing = float(network(torch.zeros(1, len(LOAD_PATH)))[0])
+    weights = with_scaled_logit(networks.weights(network), "last", 50.0, -50.0 * of_nothing)
     arrays: dict[str, Any] = {f"weights/{name}": value for name, value in weights.items()}
     arrays |= {
         "onnx": np.frombuffer(onnx_graphs.build(architecture, weights), np.uint8),
@@ -117,9 +117,10 @@ def test_decisions_are_those_of_the_pipeline(grasped: Path, tmp_path: Path) -> N
         detector = load_detector(model)
         series = read_series(file, detector.architecture)
         probability = detector.over(series)
-        assert isinstance(series, DotsAndExtras) and np.isfinite(series.extras[2:, :2]).all()
-        assert np.isfinite(series.extras[:, 2]).any()
-        assert np.nanmax(np.abs(probability - detector.over(series.dots))) > 0.01  # what it is told matters
+        assert isinstance(series, LoadPath) and series.touches.any()
+        assert (series.numbers[:, LOAD_PATH.index("gripper_known")] == 1).all()
+        series.numbers[:, OF_GRIPPER] = 0
+        assert np.nanmax(np.abs(probability - detector.over(series))) > 0.01  # what it is told matters
         slips = np.cumsum(alarming(probability, chosen_threshold(model)))
     law = Control(PAPER)
     with open_recording(again) as now:
