@@ -1,6 +1,6 @@
 """Put the pretrained slip detector, the default of `grasp`, into the package, with a record of its training.
 
-    python scripts/ship/ship_model.py models/shipped/disp-xy-grip-10ms.model.h5
+    python scripts/ship/ship_model.py models/shipped/load-path-10ms.model.h5
 
 Its results on unseen objects are in the tables `slip-detectors-...` of docs/results, which studies/slip/judge.py makes.
 """

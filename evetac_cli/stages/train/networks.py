@@ -144,7 +144,7 @@ class Networks:
         for done, index in enumerate(left_out):
             progress(done, len(left_out), "files evaluated")
             self._require_same_forms(weights[-1], self.inputs[index])
-            trajectory = read_trajectory(self.inputs[index], self.architecture)
+            trajectory = self._trajectory(index)
             judged = predict(detectors, trajectory, headers[index], horizon_ms)
             for of_detector, prediction in zip(predictions, judged, strict=True):
                 of_detector.append(prediction)
@@ -260,10 +260,13 @@ class Networks:
         return memory_training.gather(self._trajectories(numbers, progress), architecture, horizon_ms)
 
     def _trajectories(self, numbers: Sequence[int], progress: Progress) -> Iterator[Trajectory]:
-        learns_share = self.recipe.parameters["learn_true_slip_share"]
         for done, number in enumerate(numbers):
             progress(done, len(numbers), "files read")
-            yield read_trajectory(self.inputs[number], self.architecture, true_slip_share=learns_share)
+            yield self._trajectory(number)
+
+    def _trajectory(self, number: int) -> Trajectory:
+        knows_share = self.recipe.parameters["learn_true_slip_share"]
+        return read_trajectory(self.inputs[number], self.architecture, true_slip_share=knows_share)
 
 
 def _read(path: Path, recipe: Recipe) -> "TrainingState | None":

@@ -16,8 +16,8 @@ from evetac_cli.arrays import Floats, Singles
 from evetac_cli.errors import SceneError
 from evetac_cli.evaluate.slip.models import Model
 from evetac_cli.events import Events
-from evetac_cli.kernels.slip import features, inputs, load_path
-from evetac_cli.kernels.slip.architectures import DotArchitecture, sensitivity_of
+from evetac_cli.kernels.slip import features, load_path
+from evetac_cli.kernels.slip.architectures import sensitivity_of
 from evetac_cli.kernels.slip.detector import over_each
 from evetac_cli.kernels.slip.inputs import known_at_start
 from evetac_cli.kernels.slip.load_path import LoadPath
@@ -124,19 +124,10 @@ class Seen:
         none_lost = np.zeros(trial.dot_px.shape[:2], np.bool_)
         return {"tracked": self.view(self.dot_px, self._lost), "true": self.view(trial.dot_px, none_lost)}
 
-    def scores(self, models: Mapping[str, Model], sticking_share: Singles) -> dict[str, tuple[Singles, int]]:
+    def scores(self, models: Mapping[str, Model]) -> dict[str, tuple[Singles, int]]:
         """Return the probabilities by networks over dots, and their horizons."""
-        dot_px, found = self.dot_px, {}
-        moved, moved_xy = features.displacement(dot_px, self.rest_px), features.displacement_xy(dot_px, self.rest_px)
-        for name, model in models.items():
-            assert isinstance(model.architecture, DotArchitecture)
-            factors = model.architecture.factors(sensitivity_of(self.sensor))
-            dots = features.series(moved, np.array(self._events), moved_xy, factors)
-            position, goal_ticks, goal_ma = self.gripper()
-            extras = inputs.extra_columns(len(dot_px), position, goal_ticks, goal_ma, sticking_share)
-            series = inputs.DotsAndExtras(dots, extras) if model.architecture.extras else dots
-            found[name] = over_each([model.detector()], series)[0], model.horizon_ms
-        return found
+        series = features.series(features.displacement(self.dot_px, self.rest_px), np.array(self._events))
+        return {name: (over_each([model.detector()], series)[0], model.horizon_ms) for name, model in models.items()}
 
 
 def seen(motion: str, row: dict[str, Any], planned: Planned, seed: int, models: Mapping[str, Model]) -> SeenTrial:
@@ -146,8 +137,7 @@ def seen(motion: str, row: dict[str, Any], planned: Planned, seed: int, models: 
         trial = motions.played(planned, seed, eye.see)
     except SceneError as error:  # a heavy object would compress a soft gel beyond the layer's limit
         return SeenTrial(motion, row | {"refused": error.message}, None, {}, {})
-    views = eye.views(trial)
-    return SeenTrial(motion, row, trial, views, eye.scores(models, views["tracked"].sticking_share))
+    return SeenTrial(motion, row, trial, eye.views(trial), eye.scores(models))
 
 
 def write(path: Path, one: SeenTrial) -> None:
