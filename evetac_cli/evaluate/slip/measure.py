@@ -51,7 +51,7 @@ from evetac_cli.stages.related_files import OTHER_FOLDER, Origins, named_files
 from evetac_cli.store.files import StageFile
 from evetac_cli.store.recordings.onset import abstains, in_short, labelled_onset
 
-METHOD = 11
+METHOD = 12
 
 SHOWN_MS = (-60, 40)  # range of the paper's figure of slip timing
 PANELS = 4  # distributions side by side

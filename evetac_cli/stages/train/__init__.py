@@ -58,7 +58,7 @@ if TYPE_CHECKING:  # torch takes more than a second to import, numba half of it
     from evetac_cli.stages.train.networks import TrainedFolds
 
 OUTPUT = "model"
-METHOD = 9
+METHOD = 10
 VALIDATE_EVERY = 8
 FEWEST_VALIDATED_ON = 4  # trajectories; with fewer, a far too low threshold may score as well as a good one
 
