@@ -212,7 +212,7 @@ def _shipped() -> str:
     facts = json.loads(MODEL.with_name("slip-10ms.json").read_text())
     assert facts["simulated"]
     rows = [
-        ("architecture", f"`{facts['model']}`, {facts['training']['networks']} networks whose logits are averaged"),
+        ("architecture", f"`{facts['model']}`"),
         ("weights", f"{facts['parameters']:,}"),
         ("predicts", f"{facts['horizon_ms']} ms ahead"),
         ("threshold", value(facts["threshold"])),

@@ -292,6 +292,11 @@ def groups_of(rows: Rows, named: Mapping[str, Sequence[str]]) -> dict[str, list[
 MEANS = f"less than {MUCH_SLIPS:.0%} of the visible contact slips from {BEFORE_MS} ms before it to {AFTER_MS} ms after"
 
 
+def warned_key(ms: int, per_minute: float) -> str:
+    """Return the name of a column: a name for str.format, which takes a point for an attribute."""
+    return f"warned_{ms}_ms_at_{per_minute:g}".replace(".", "_")
+
+
 def warning_table(name: str, rows: Rows, named: Mapping[str, Sequence[str]], command: str) -> Row:
     """Return the table of the share of slips with a warning, by lead time and false alarms per minute."""
     clusters = clusters_of(slip_rows(rows), each_slip=True)
@@ -301,7 +306,7 @@ def warning_table(name: str, rows: Rows, named: Mapping[str, Sequence[str]], com
         for per_minute in PER_MINUTE:
             for ms in WARNED_MS:
                 every = np.array([warned_values(rows, score, per_minute, ms) for score in scores])
-                mean, key = mean_of(every.mean(axis=0), clusters), f"warned_{ms}_ms_at_{per_minute:g}"
+                mean, key = mean_of(every.mean(axis=0), clusters), warned_key(ms, per_minute)
                 row |= {key: mean.value, f"{key}_low": mean.low, f"{key}_high": mean.high}
                 of_trainings = every.mean(axis=1)
                 row |= {f"{key}_worst": float(of_trainings.min()), f"{key}_best": float(of_trainings.max())}
@@ -309,11 +314,11 @@ def warning_table(name: str, rows: Rows, named: Mapping[str, Sequence[str]], com
     columns = {"detector": "{score}", "trainings": "{trainings}", "slips": "{slips}"}
     for per_minute in PER_MINUTE:
         for ms in WARNED_MS:
-            key = f"warned_{ms}_ms_at_{per_minute:g}"
+            key = warned_key(ms, per_minute)
             columns[f"{ms} ms ahead, {per_minute:g} per minute"] = (
                 f"{{{key}:.2f}} ({{{key}_low:.2f}} to {{{key}_high:.2f}})"
             )
-    key = f"warned_{WARNED_MS[0]}_ms_at_{AT_ONE:g}"
+    key = warned_key(WARNED_MS[0], AT_ONE)
     columns[f"trainings, {WARNED_MS[0]} ms ahead, {AT_ONE:g} per minute"] = f"{{{key}_worst:.2f}} to {{{key}_best:.2f}}"
     note = (
         f"Share of slips warned of, at equal false alarms per minute of contact, averaged over {len(rows)} motions. An"
