@@ -58,13 +58,13 @@ def endless_loop(graph: Any) -> None:
 
 
 def another_weight(graph: Any) -> None:
-    (bias,) = (one for one in graph.graph.initializer if one.name == "0.first.bias")
+    (bias,) = (one for one in graph.graph.initializer if one.name == "first.bias")
     changed = numpy_helper.to_array(bias) + 1
-    bias.CopyFrom(numpy_helper.from_array(changed.astype(np.float32), "0.first.bias"))
+    bias.CopyFrom(numpy_helper.from_array(changed.astype(np.float32), "first.bias"))
 
 
 def weight_in_another_file(graph: Any) -> None:
-    (bias,) = (one for one in graph.graph.initializer if one.name == "0.first.bias")
+    (bias,) = (one for one in graph.graph.initializer if one.name == "first.bias")
     bias.ClearField("raw_data")
     bias.data_location = TensorProto.EXTERNAL
     bias.external_data.add(key="location", value="/etc/passwd")
