@@ -28,7 +28,7 @@ from evetac_cli.evaluate.slip.models import Model
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, silent
 from evetac_cli.kernels.force import models as forces
 from evetac_cli.kernels.slip import metrics
-from evetac_cli.kernels.slip.architectures import ImageArchitecture, PluginImageArchitecture
+from evetac_cli.kernels.slip.architectures import ImageArchitecture, MemoryArchitecture, PluginImageArchitecture
 from evetac_cli.kernels.slip.metrics import is_slip
 from evetac_cli.stages import featurize, track
 from evetac_cli.stages.force.train_force import ForceModel, check_grid, read_model, read_rest_px
@@ -109,7 +109,7 @@ def _slip(entry: BenchmarkTrial, model: Model, tracks: Path) -> NDArray[np.float
     asked = Featurize(
         images=isinstance(architecture, ImageArchitecture),
         events=isinstance(architecture, PluginImageArchitecture),
-        sticking_share=model.detector().needs_sticking,
+        sticking_share=isinstance(architecture, MemoryArchitecture),
     )
     what = "".join(f"-{name}" for name in ("images", "events", "sticking_share") if getattr(asked, name))
     output = tracks.with_name(f"{entry.name}{what}.features.h5")

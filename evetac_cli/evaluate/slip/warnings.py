@@ -28,7 +28,7 @@ from evetac_cli.kernels.slip import alarms, metrics, reliability
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.kernels.slip.reliability import ReliabilityBin
 
-LATE_MS = 20
+LATE_MS = 20  # of sliding, after which an alarm is no warning
 WARNED = {ahead_ms: f"warned_{ahead_ms}_ms" for ahead_ms in alarms.LEADS_MS}  # columns: warned at least this long ahead
 
 

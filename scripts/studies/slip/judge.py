@@ -37,7 +37,7 @@ STUDY = Study(
     scripts={
         "slip-detectors-timing": ScriptCheck(
             (script("studies/slip/judge.py", "see", "seen", "--seed", 73000, "--minutes", 0.3, "--trials", 30),
-             script("studies/slip/judge.py", "judge", "seen", "--model", f"load-path={MODEL}", "--out", "tables")),
+             script("studies/slip/judge.py", "judge", "seen", "--model", f"load-path 1={MODEL}", "--out", "tables")),
             4.0,
             Check(("score",), tuple(Figure(name, count="slips") for name in ("correct", "early", "late"))),
         ),

@@ -192,8 +192,9 @@ seeds = np.random.SeedSequence(0)
 detector = open_detector(DetectorSettings(parse("virtual"), seeds, sensor, DetectorModel.of(Grasp()), 1))
 assert detector.count == 0 and np.isnan(detector.probability)
 loaded, rng = set(sys.modules), np.random.default_rng(0)
-probabilities = [detector.step(noise(rng, k)) for k in range(200)]
-assert len(probabilities) == 200
+for k in range(200):
+    detector.step(noise(rng, k))
+assert detector.count == 0  # noise is no slip
 print(sorted(set(sys.modules) - loaded))
 """
 
