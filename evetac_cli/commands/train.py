@@ -54,7 +54,7 @@ class Train:
     )
     max_steps: int | None = parameter(
         None,
-        "Stop after this many steps, with a note; default: 40000, 600 for load-path, or 1000 with --adapt.",
+        "Stop after this many steps, with a note; default: 40000, 2000 for load-path, or 1000 with --adapt.",
         unit="steps",
         low=1,
         panel=EXPERTS,
@@ -86,8 +86,8 @@ class Train:
     )
     false_alarms_per_min: float | None = parameter(
         None,
-        "Choose the lowest threshold with at most this many false alarms per minute, counted in the validation files at"
-        f" times without slip within 200 ms. Default: {FALSE_ALARMS_PER_MIN:g}; with preset paper, or with less than"
+        "Choose the lowest threshold with, at 95 % confidence, at most this many false alarms per minute, counted in"
+        f" the validation files where nothing slips. Default: {FALSE_ALARMS_PER_MIN:g}; with preset paper, or less than"
         f" {LEAST_MINUTES:g} minutes to count in, the paper's rule: the best mean of timing and F1.",
         unit="1/min",
         low=0.0,

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.events import SLICES_PER_S
+from evetac_cli.kernels import estimates
 from evetac_cli.kernels.slip.metrics import Prediction, is_slip
 
 ALARM_SLICES = 3  # consecutive slices that reach the threshold
@@ -134,6 +135,9 @@ class WarningCurve(NamedTuple):
     """By threshold, rising: false alarms per minute, and the share of slips warned of at least 10 ms ahead.
 
     minutes: time in which nothing slips. slips: number of slips that could be warned of.
+
+    A threshold is chosen by the upper limit of its rate, because a rate that was counted in a few minutes is often
+    exceeded in others, and choosing the lowest of many thresholds picks one that was lucky.
     """
 
     threshold: NDArray[np.float64]
@@ -142,15 +146,28 @@ class WarningCurve(NamedTuple):
     minutes: float
     slips: int
 
-    def threshold_for(self, per_min: float) -> float:
-        """Return the lowest threshold with at most this many false alarms per minute, or the highest of all.
+    @property
+    def most_per_min(self) -> NDArray[np.float64]:
+        """The upper limit of each rate, one-sided with 95 % confidence, for a Poisson count.
 
         ValueError if no slice is known to be free of slip.
         """
+        from scipy.special import gammaincinv  # here, because a grasp has no use for it
+
         if not self.minutes:
             raise ValueError("expected slices without slip, at least 200 ms from any slip, found none")
-        few = np.flatnonzero(self.false_alarms_per_min <= per_min)
-        return float(self.threshold[few[0] if len(few) else -1])
+        counted = np.rint(self.false_alarms_per_min * self.minutes)
+        most: NDArray[np.float64] = gammaincinv(counted + 1.0, estimates.LEVEL) / self.minutes
+        return most
+
+    def threshold_for(self, per_min: float) -> float:
+        """Return the lowest threshold with, by its upper limit, at most this many false alarms per minute.
+
+        If the minutes are too few for that, the lowest with the fewest alarms that were counted. ValueError if no slice
+        is known to be free of slip.
+        """
+        most = self.most_per_min
+        return float(self.threshold[np.argmax(most <= max(per_min, most[-1]))])
 
     def at(self, threshold: float) -> tuple[float, float]:
         """Return false alarms per minute and share of slips warned of at a threshold: those of the next lower one."""

@@ -58,7 +58,7 @@ if TYPE_CHECKING:  # torch takes more than a second to import, numba half of it
     from evetac_cli.stages.train.networks import TrainedFolds
 
 OUTPUT = "model"
-METHOD = 10
+METHOD = 11
 VALIDATE_EVERY = 8
 FEWEST_VALIDATED_ON = 4  # trajectories; with fewer, a far too low threshold may score as well as a good one
 
@@ -74,7 +74,7 @@ class Settings(NamedTuple):
 
 
 USUAL = Settings("hist10", 0, "paper", max_steps=40000, networks=1)
-USUAL_MEMORY = USUAL._replace(preset="memory", max_steps=600)
+USUAL_MEMORY = USUAL._replace(preset="memory", max_steps=2000)
 ADAPT_STEPS = 1000
 
 

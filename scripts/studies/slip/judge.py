@@ -4,7 +4,8 @@
 per trial (seen.py), which takes hours; existing files are not made again. `--objects choose` takes the objects for
 choosing thresholds. `... choose FOLDER` writes the oracles' thresholds for timing (thresholds.json). `... judge FOLDER
 --model NAME=FILE ...` writes tables; models of one name are trainings of one detector. Networks over dots are given to
-`see` instead.
+`see` instead. `... left-out FOLDER --model NAME=FILE MOTION,MOTION=FILE ...` compares the first model with others that
+were trained without the motions of their names.
 """
 
 import argparse
@@ -98,6 +99,7 @@ def judge(chosen: argparse.Namespace) -> None:
     if models:
         tables.append(slip_tables.stated_table(f"{chosen.name}-stated", rows, models, command))
         tables.append(slip_tables.paired_table(f"{chosen.name}-paired", rows, at, models, command))
+        tables.append(slip_tables.sensors_table(f"{chosen.name}-sensors", rows, models, command))
     write(chosen.out, *tables)
     kept = chosen.out / "rows" / f"{chosen.name}.jsonl.xz"
     kept.parent.mkdir(exist_ok=True)
@@ -105,10 +107,19 @@ def judge(chosen: argparse.Namespace) -> None:
         file.writelines(json.dumps({"motion": name} | row) + "\n" for name, of in rows.items() for row in of)
 
 
+def left_out(chosen: argparse.Namespace) -> None:
+    """Write the table of models that were trained without some motions, each named by these motions."""
+    models = {name: Path(path) for name, _, path in (given.partition("=") for given in chosen.model)}
+    motions_of = {name: tuple(name.split(",")) for name in list(models)[1:]}
+    command = f"python scripts/studies/slip/judge.py left-out FOLDER --model {models_in_words(chosen.model)}"
+    rows = rows_of(chosen.folder, models, chosen.jobs)
+    write(chosen.out, slip_tables.left_out_table(f"{chosen.name}-left-out", rows, models, motions_of, command))
+
+
 def main() -> None:
     """Simulate trials, choose thresholds, or evaluate with them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("see", "choose", "judge"))
+    parser.add_argument("what", choices=("see", "choose", "judge", "left-out"))
     parser.add_argument("folder", type=Path, help="folder of the trials, one folder per motion")
     parser.add_argument("--seed", type=int, default=0, help="see: seed of the first trial of a motion")
     parser.add_argument("--minutes", type=float, default=3.0, help="see: minutes of contact for each motion")
@@ -129,8 +140,10 @@ def main() -> None:
         see(chosen, asked or motions.MOTIONS)
     elif chosen.what == "choose":
         slip_tables.choose_thresholds(rows_of(chosen.folder, {}, chosen.jobs))
-    else:
+    elif chosen.what == "judge":
         judge(chosen)
+    else:
+        left_out(chosen)
 
 
 if __name__ == "__main__":

@@ -26,15 +26,15 @@ from scripts.studies.slip.trials import planned_at
 
 FIRST_SEEDS = {"learn": 5000, "choose": 5600}
 OBJECTS = {"learn": motions.TRAINED, "choose": motions.CHOSEN_BY}
-# Trials per object. Fast jerks, weights and the data-rate scene are reserved for evaluation.
+# Trials. Fast jerks, weights and the data-rate scene are reserved for evaluation.
 COUNTS = {
     "learn": {
-        **{"slip": 3, "slip-varied": 4, "slip-speeds": 15, "handling": 5, "pushes": 7, "grip": 3, "jerks": 3},
-        **{"lifting": 1, "opening": 3, "light touch": 1, "vibration": 2, "weak lifts": 2},
+        **{"slip": 49, "slip-varied": 89, "slip-speeds": 216, "handling": 69, "pushes": 98, "grip": 40, "jerks": 49},
+        **{"lifting": 20, "opening": 59, "light touch": 11, "vibration": 22, "weak lifts": 30},
     },
     "choose": {
-        **{"slip": 6, "slip-varied": 6, "slip-speeds": 24, "handling": 4, "pushes": 6, "grip": 3, "jerks": 2},
-        **{"lifting": 1, "opening": 3, "light touch": 1, "vibration": 2, "weak lifts": 2},
+        **{"slip": 18, "slip-varied": 18, "slip-speeds": 72, "handling": 12, "pushes": 18, "grip": 9, "jerks": 6},
+        **{"lifting": 3, "opening": 9, "light touch": 3, "vibration": 6, "weak lifts": 6},
     },
 }
 MOST = max(count for counts in COUNTS.values() for count in counts.values())
@@ -64,7 +64,7 @@ class Slot(NamedTuple):
 def every_one(role: str, names: list[str], per_object: int, out: Path) -> Iterator[Slot]:
     """Return the recordings of a role, for these motions or, if none is given, all; per_object limits their number."""
     for motion, count in COUNTS[role].items():
-        several = min(count, per_object) * len(OBJECTS[role])
+        several = min(count, per_object * len(OBJECTS[role]))
         if not names or motion in names:
             yield from (Slot(role, motion, place, several, out / motion.replace(" ", "-")) for place in range(several))
 
@@ -107,7 +107,7 @@ STUDY = Study(
     experiments=(
         Experiment(
             "ship", "the pretrained slip detector, trained on many motions, sensors and objects", "data/ship", 1.0,
-            full={"motions": (), "per_object": 40, "steps": 600},  # no motions given: all; 40: the most available
+            full={"motions": (), "per_object": 40, "steps": 2000},  # no motions given: all; 40: the most available
             small={"motions": ("slip", "pushes"), "per_object": 1, "steps": 200},
             steps=ship_steps,
         ),

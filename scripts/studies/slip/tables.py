@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evetac_cli.jobs import Row
-from evetac_cli.kernels.estimates import Estimate, cluster_weights, ratio_of_clusters
+from evetac_cli.kernels.estimates import Estimate, cluster_weights, poisson_rate, ratio_of_clusters
 from evetac_cli.kernels.slip.alarms import AFTER_MS, ALARM_SLICES, APART_MS, BEFORE_MS, MUCH_SLIPS
 from evetac_cli.kernels.slip.metrics import Counts, timing
 from evetac_cli.kernels.slip.reliability import ReliabilityBin, expected_error
@@ -364,16 +364,12 @@ def stated_table(name: str, rows: Rows, models: Mapping[str, Path], command: str
     """Return the table of the false alarms per minute that a model's file states and of those on these trials."""
     shown = []
     for model, path in models.items():
-        with StageFile(path, "model") as file:
-            curve = read_curve(file)
-        assert curve is not None
         score = f"{model}, {DOTS[0]} dots"
         for per_minute in PER_MINUTE:
-            threshold = nearest(curve.threshold_for(per_minute))
-            at = THRESHOLDS.index(threshold)
+            at = _stated_at(path, per_minute)
             by_motion = {motion: float(false_per_minute(of, score)[at]) for motion, of in rows.items()}
             worst = max(by_motion, key=lambda motion: by_motion[motion])
-            row: Row = {"model": model, "stated": per_minute, "threshold": threshold}
+            row: Row = {"model": model, "stated": per_minute, "threshold": THRESHOLDS[at]}
             row |= {"measured": float(np.mean([*by_motion.values()])), "worst": worst, "of_worst": by_motion[worst]}
             for kind, is_of in (("evetac", True), ("random", False)):
                 some = [[one for one in of if (one["sensor"] == EVETAC) == is_of] for of in rows.values()]
@@ -395,4 +391,78 @@ def stated_table(name: str, rows: Rows, models: Mapping[str, Path], command: str
         f" Measured: mean over motions on other objects and sensors. An alarm is false if {MEANS}."
     )
     title = "Stated and measured false alarms per minute"
+    return table_of(name, title, columns, shown, command, sizes_of(rows), notes=(note,))
+
+
+def _stated_at(path: Path, per_minute: float) -> int:
+    """Return the index of the threshold for which a model's file states this many false alarms per minute."""
+    with StageFile(path, "model") as file:
+        curve = read_curve(file)
+    assert curve is not None
+    return THRESHOLDS.index(nearest(curve.threshold_for(per_minute)))
+
+
+def sensors_table(name: str, rows: Rows, models: Mapping[str, Path], command: str) -> Row:
+    """Return the table of the false alarms of the first model on each random sensor, at stated rates."""
+    model, path = next(iter(models.items()))
+    score = f"{model}, {DOTS[0]} dots"
+    sensors = sorted({row["sensor"] for of in rows.values() for row in of} - {EVETAC})
+    shown = []
+    for sensor in sensors:
+        some = {motion: [row for row in of if row["sensor"] == sensor] for motion, of in rows.items()}
+        every = [row for of in some.values() for row in of]
+        shown.append({"sensor": sensor, "minutes": sum(row["minutes"] for row in every)})
+        shown[-1]["slips"] = len(clusters_of(slip_rows(some), each_slip=True))
+        for per_minute in PER_MINUTE:
+            at, key = _stated_at(path, per_minute), f"{per_minute:g}".replace(".", "_")
+            false = poisson_rate(sum(row["scores"][score]["false"][at] for row in every), shown[-1]["minutes"])
+            shown[-1] |= {f"at_{key}": false.value, f"low_{key}": false.low, f"high_{key}": false.high}
+            shown[-1][f"warned_{key}"] = float(_warned(some, score, at, WARNED_MS[0]).mean())
+    columns = {"sensor": "{sensor}", "minutes of contact": "{minutes:.1f}", "slips": "{slips}"}
+    for per_minute in PER_MINUTE:
+        key = f"{per_minute:g}".replace(".", "_")
+        columns[f"at {per_minute:g} stated"] = f"{{at_{key}:.2f}} ({{low_{key}:.2f}} to {{high_{key}:.2f}})"
+        columns[f"warned {WARNED_MS[0]} ms ahead, at {per_minute:g} stated"] = f"{{warned_{key}:.2f}}"
+    note = (
+        f"False alarms per minute of contact over all motions, with the 95 % interval of a Poisson count, by {model}."
+        f" Motions count by their minutes, so {SLIPS[-1]} counts most. An alarm is false if {MEANS}."
+    )
+    return table_of(name, "False alarms on each random sensor", columns, shown, command, sizes_of(rows), notes=(note,))
+
+
+def left_out_table(
+    name: str, rows: Rows, models: Mapping[str, Path], left_out: Mapping[str, tuple[str, ...]], command: str
+) -> Row:
+    """Return the table of false alarms in motions that a model was trained with, and without.
+
+    left_out: the motions that were left out, by model; it is compared with the first of the models.
+    """
+    usual, shown = next(iter(models)), []
+    for model, motions_left in left_out.items():
+        for motion in (motion for motion in motions_left if rows.get(motion)):
+            some = {motion: rows[motion]}
+            row: Row = {"motion": motion, "minutes": sum(one["minutes"] for one in rows[motion])}
+            row["slips"] = len(clusters_of(slip_rows(some), each_slip=True))
+            for kind, one in (("with", usual), ("without", model)):
+                score = f"{one}, {DOTS[0]} dots"
+                for per_minute in PER_MINUTE:
+                    at, key = _stated_at(models[one], per_minute), f"{per_minute:g}".replace(".", "_")
+                    row[f"{kind}_{key}"] = float(false_per_minute(rows[motion], score)[at])
+                    row[f"{kind}_warned_{key}"] = float(_warned(some, score, at, WARNED_MS[0]).mean())
+            shown.append(row)
+    mean: Row = {"motion": "mean", "minutes": sum(row["minutes"] for row in shown)}
+    mean["slips"] = sum(row["slips"] for row in shown)
+    rates = [key for key in shown[0] if key.startswith("with") and "warned" not in key]
+    shown.append(mean | {key: float(np.mean([row[key] for row in shown])) for key in rates})
+    columns = {"motion": "{motion}", "minutes of contact": "{minutes:.1f}", "slips": "{slips}"}
+    for per_minute in PER_MINUTE:
+        key = f"{per_minute:g}".replace(".", "_")
+        for kind in ("with", "without"):
+            columns[f"trained {kind} it, {per_minute:g} stated"] = f"{{{kind}_{key}:.2f}} / {{{kind}_warned_{key}:.2f}}"
+    groups = "; ".join(", ".join(motions_left) for motions_left in left_out.values())
+    note = (
+        f"False alarms per minute, and share of slips warned of {WARNED_MS[0]} ms ahead, where this many are stated."
+        f" Left out together, in training and in choosing the threshold: {groups}. An alarm is false if {MEANS}."
+    )
+    title = "Motions that were left out of the training"
     return table_of(name, title, columns, shown, command, sizes_of(rows), notes=(note,))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from evetac_cli.kernels import estimates
 from evetac_cli.kernels.slip import alarms
 from evetac_cli.kernels.slip.metrics import Prediction
 
@@ -38,12 +39,25 @@ def test_curve_by_hand() -> None:
 
 def test_the_threshold_is_the_lowest_that_keeps_to_the_number() -> None:
     """Assert that a chosen threshold has no more false alarms than allowed, and the one below it has."""
-    predictions = one_of_each()
-    curve = alarms.warning_curve(predictions)
-    for per_min, least, most in ((1.0, 0.5, 0.53), (0.5, 0.9, 0.92)):
-        threshold = curve.threshold_for(per_min)
+    curve = alarms.warning_curve(one_of_each())
+    for count, least, most in ((1, 0.5, 0.53), (0, 0.9, 0.92)):
+        upper = estimates.poisson_rate(count, curve.minutes).high  # two-sided, so higher than one-sided
+        threshold = curve.threshold_for(upper)
         assert least < threshold < most
-        assert sum(alarms.false_alarms(one, threshold)[0] for one in predictions) <= per_min
+
+
+def test_a_rate_is_kept_with_confidence() -> None:
+    """Assert that in 95 of 100 sets of trials the chosen threshold keeps the rate that was asked for."""
+    rng = np.random.default_rng(0)
+    true_per_min, minutes = np.linspace(3.0, 0.0, 31), 16.0
+    kept = 0
+    for _ in range(2000):
+        counted = rng.poisson(true_per_min * minutes)
+        lowest_first = np.minimum.accumulate(counted) / minutes
+        curve = alarms.WarningCurve(np.linspace(0.0, 1.0, 31), lowest_first, np.zeros(31), minutes, 0)
+        kept += true_per_min[curve.threshold == curve.threshold_for(1.0)][0] <= 1.0
+    assert kept / 2000 > 0.94
+    assert curve.most_per_min[-1] == pytest.approx(-np.log(0.05) / minutes)  # of no alarm at all
 
 
 def test_without_quiet_slices_no_threshold_is_chosen() -> None:

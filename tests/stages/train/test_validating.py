@@ -125,7 +125,7 @@ def test_a_threshold_by_false_alarms(model: Path) -> None:
         own, curve = model_files.chosen_threshold(file), model_files.read_curve(file)
         assert curve is not None
         assert own == float(file.read("threshold")) == model_files.chosen_threshold(file, false_alarms_per_min=1.0)
-        most = float(curve.false_alarms_per_min[0])
+        most = float(curve.most_per_min[0])
         assert model_files.chosen_threshold(file, false_alarms_per_min=most) == curve.threshold[0] < own
         assert model_files.chosen_threshold(file, threshold=0.25) == 0.25
         with pytest.raises(InputError, match="cannot be combined"):
