@@ -15,7 +15,6 @@ process.
 import itertools
 import logging
 import os
-import pkgutil
 import platform
 import queue
 import threading
@@ -24,7 +23,7 @@ import uuid
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +52,7 @@ class ClusterCommand:
 
 
 def check_worker(command: ClusterCommand) -> str:
-    """Return the reason why this process cannot work for a command, as a text; empty if it can."""
+    """Return the reason why this process cannot work for a command, after the words `the worker`; empty if it can."""
     if command.version != __version__:
         return f"has evetac {__version__}, but the command has evetac {command.version}"
     if reason := plugins.lacking(command.parts):
@@ -71,7 +70,7 @@ def run_task(command: ClusterCommand, job: Job, seen: tuple[Path, ...]) -> Outco
     """
     with _one_job_at_a_time:
         if reason := check_worker(command):
-            return reason
+            return f"the worker on {platform.node()} {reason}"
         plugins.take_part(command.parts)
         before = Path.cwd()
         os.chdir(command.folder)
@@ -217,19 +216,18 @@ class _Run:
         self.ended: queue.SimpleQueue[Any] = queue.SimpleQueue()  # futures
         self.name, self.numbers = f"evetac-{uuid.uuid4().hex}", itertools.count()
         self.workers: set[str] = set()  # all workers seen so far
-        self.fit: list[str] | None = None  # workers that may be used; None: all, including those that join later
-        self.messages: set[str] = set()
         self.stopping = False
 
     def run(self) -> None:
         """Submit jobs and take results until all are done; KeyboardInterrupt if some were aborted."""
         self.progress(0, self.count, "files")
-        self._look_at_workers()
+        if not self.client.nthreads():
+            console.say("the cluster has no worker yet: waiting")
         try:
             while self.waiting or self.running:
                 self._hand_out()
                 self._take(self._wait())
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, InputError):
             self._stop()
             raise
         finally:
@@ -238,14 +236,10 @@ class _Run:
     def _hand_out(self) -> None:
         """Submit as many tasks as there are workers, so that a worker that joins later gets its share."""
         joined = set(self.client.nthreads())
-        if self.fit is not None and joined - self.workers:  # new workers may be usable
-            self._look_at_workers()
         self.workers |= joined
-        usable = len(joined if self.fit is None else joined & set(self.fit))
-        while self.waiting and len(self.running) < usable:
+        while self.waiting and len(self.running) < len(joined):
             job = self.waiting.popleft()
             seen = tuple(path for path in job.inputs if path.exists())
-            # Other workers may take a task meant for a worker that is gone. They refuse it, and it is submitted again.
             future = self.client.submit(
                 run_task,
                 self.command,
@@ -253,8 +247,6 @@ class _Run:
                 seen,
                 key=f"{self.name}-{next(self.numbers)}",  # always new: Dask would reuse the result of an equal key
                 pure=False,
-                workers=self.fit,
-                allow_other_workers=self.fit is not None,
             )
             self.running[future] = job
             future.add_done_callback(self.ended.put)
@@ -266,7 +258,7 @@ class _Run:
         return None
 
     def _take(self, future: Any) -> None:
-        """Store the result of a task; a refused job is queued again."""
+        """Store the result of a task; InputError if its worker cannot be used."""
         if future is None:
             return
         job = self.running.pop(future)
@@ -275,9 +267,9 @@ class _Run:
             self.results[job.output] = result
             self.done += 1
             self.progress(self.done, self.count, "files")
-        elif not self.stopping:  # refused, or the sign file was removed
-            self.waiting.appendleft(job)
-            self._look_at_workers()
+        elif result is not None and not self.stopping:
+            hint = "install the same evetac and plug-ins on all computers, and keep the files on shared storage"
+            raise InputError("a worker of the cluster cannot be used", where="--engine", found=result, hint=hint)
 
     def _result(self, future: Any, job: Job) -> Outcome | EvetacError | str | None:
         from concurrent.futures import CancelledError
@@ -304,7 +296,7 @@ class _Run:
         except ModuleNotFoundError as error:
             lacks = (error.name or "").partition(".")[0]  # the worker could not read the task
             if lacks in ("evetac_cli", *(part.module.partition(".")[0] for part in plugins.parts())):
-                return f"has no {lacks}"
+                return f"a worker has no {lacks}"
             raise
         except RuntimeError as error:
             if "deserialization of the task graph" not in str(error):
@@ -313,42 +305,6 @@ class _Run:
             hint = "install evetac and its plug-ins also on the scheduler's computer"
             raise EvetacError(message, where="--engine", found=found, hint=hint) from None
         return result
-
-    def _look_at_workers(self) -> None:
-        """Exclude unsuitable workers, with a message; InputError if none has been suitable so far."""
-        versions = self.client.run(pkgutil.resolve_name, "evetac_cli.names:__version__", on_error="return")
-        reasons = {
-            address: "cannot import evetac"
-            for address, version in versions.items()
-            if isinstance(version, BaseException)
-        }
-        others = [address for address in versions if address not in reasons]
-        if others:
-            command = replace(self.command, chosen=None)  # it may contain objects that a worker cannot read
-            answers = self.client.run(check_worker, command, workers=others, on_error="return")
-            reasons |= {
-                address: f"fails: {reason}" if isinstance(reason, BaseException) else reason
-                for address, reason in answers.items()
-                if reason
-            }
-        if not versions:
-            console.say("the cluster has no worker yet: waiting")
-        if not reasons:
-            self.fit = None
-            return
-        words = [f"the worker {address} {reason}" for address, reason in reasons.items()]
-        if len(reasons) == len(versions) and not self.workers - set(reasons):
-            raise InputError(
-                "no worker of the cluster can be used",
-                where="--engine",
-                found="; ".join(words),
-                hint="install the same evetac and plug-ins on all computers, and keep the files on shared storage",
-            )
-        for line in words:
-            if line not in self.messages:
-                console.say(f"left out: {line}")
-        self.messages |= set(words)
-        self.fit = sorted(set(versions) - set(reasons))
 
     def _stop(self) -> None:
         """Signal workers to stop, and take results finished in time."""

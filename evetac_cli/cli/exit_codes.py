@@ -27,7 +27,6 @@ import typer
 
 from evetac_cli import console, interrupts, plugins
 from evetac_cli.cli.flags import Group, Running
-from evetac_cli.commands import FORMER
 from evetac_cli.errors import (
     INTERNAL_ERROR,
     INTERRUPTED,
@@ -88,12 +87,6 @@ class _Messages(io.FileIO):
 
 def open_streams() -> None:
     """Replace sys.stdout and sys.stderr; characters missing in their encoding are written as escapes."""
-    for number, mode in ((0, os.O_RDONLY), (1, os.O_RDONLY), (2, os.O_WRONLY)):
-        try:
-            os.fstat(number)
-        except OSError:
-            # Closed, e.g. by `>&-`: reserved, so that no other file gets this number and writing still fails.
-            os.set_inheritable(os.open(os.devnull, mode), True)
     # a copy of 1: the file of this number is another one while stdout is kept for JSON (console.stdout_for_json)
     output, messages = _Output(os.dup(1), "w"), _Messages(2, "w", closefd=False)
     sys.stdout = _text(output, sys.stdout, line_buffering=output.isatty())
@@ -125,9 +118,6 @@ class Commands(Group):
         """Note whether --json was given, before any flag is read, then read the flags of `evetac` itself."""
         ctx.meta["as_json"] = "--json" in args
         with _outside_a_command(ctx):
-            for former in (args[0], *(f"{args[0]} {flag}" for flag in args[1:])) if args else ():
-                if former in FORMER:
-                    ctx.fail(f"`evetac {former}` is now `evetac {FORMER[former]}`.")
             return list(super().parse_args(ctx, args))
 
     def invoke(self, ctx: Any) -> Any:

@@ -150,7 +150,7 @@ def command_line(first: str = "") -> typer.Typer:
     )
     app.callback()(_root)
     panels = {name: panel for panel, names in commands.PANELS.items() for name in names}
-    for name in (first,) if first in panels else () if first in ("--version", *commands.FORMER) else panels:
+    for name in (first,) if first in panels else () if first == "--version" else panels:
         _add(app, name, panels[name])
     return app
 

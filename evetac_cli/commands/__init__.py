@@ -32,14 +32,6 @@ PANELS = {
 }
 GROUPS = ("evaluate", "doctor")
 MODULES = {"list": "listing"}  # of commands whose name a module cannot have
-# What a user who types a former command, or a former flag of one, is told to type.
-FORMER = {
-    "index": "info",
-    "repair": "validate --repair",
-    "track-rgb": "track --rgb",
-    **{f"doctor --{part}": f"doctor {part}" for part in ("compile", "speed", "hardware")},
-    "doctor --print-udev": "doctor udev",
-}
 
 
 def find(name: str) -> Command:

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from evetac_cli.cli.main import app
-from evetac_cli.commands import FORMER, every
+from evetac_cli.commands import every
 from evetac_cli.commands.parameter import EXPERTS, Command
 from evetac_cli.evaluate import SUBJECTS
 from tests.conftest import Made
@@ -45,16 +45,6 @@ def test_what_most_people_need_fits_a_screen() -> None:
     more = panels(evetac("record", "--help-all").stdout)
     assert list(more) == [*by_title, EXPERTS]
     assert {"--theta", "--camera-substeps", "--engine"} <= set(re.findall(r"--[a-z-]+", " ".join(more[EXPERTS])))
-
-
-@pytest.mark.parametrize("former", FORMER)
-def test_a_former_name_is_answered_with_the_one_of_now(former: str) -> None:
-    """Assert that a command or flag that had another name is refused with the new one, which there is."""
-    result = evetac(*former.split(), "x")
-    assert result.exit_code == 2
-    assert f"`evetac {former}` is now `evetac {FORMER[former]}`" in " ".join(result.stderr.replace("│", " ").split())
-    name, *more = FORMER[former].split()
-    assert f"{name} {' '.join(more)}" in every() or set(more) <= set(evetac(name, "--help").stdout.split())
 
 
 @pytest.mark.parametrize(("path", "command"), COMMANDS, ids=IDS)

@@ -68,15 +68,6 @@ def test_m4_a_full_disk_behind_the_output_is_said(report: Path, arguments: list[
     assert done.stderr == "error: the output: cannot be written: No space left on device\n"
 
 
-def test_without_any_output_it_is_said(report: Path) -> None:
-    """Assert that `>&-` is an error in words too, and that no file is opened in its place."""
-    run = f"exec {sys.executable} -m evetac_cli info {report} >&-"
-    done = subprocess.run(
-        ["bash", "-c", run], stderr=subprocess.PIPE, text=True, timeout=PATIENCE_S, check=False, cwd=PACKAGE.parent
-    )
-    assert (done.returncode, done.stderr) == (1, "error: the output: cannot be written: Bad file descriptor\n")
-
-
 def test_an_ascii_terminal(report: Path) -> None:
     """Assert that a table on a terminal that has ASCII alone is no traceback."""
     done = evetac("validate", report, env={**os.environ, "PYTHONIOENCODING": "ascii"}, stdout=subprocess.PIPE)
