@@ -42,7 +42,7 @@ WINDOWS = ("", "x", "0.05", "11", "1,,2", "nan", "-1")
         (realism, "a short", EvaluateRealism(), "a"),  # no phase in common
         (grasp, "a", EvaluateGrasp(), "a"),
         (slip, "", EvaluateSlip(), "--model"),
-        (cost, "a", EvaluateCost(part="label"), "evaluate cost label"),
+        (cost, "a", EvaluateCost(part="track"), "evaluate cost track"),
         (cost, "a", EvaluateCost(part="grasp"), "evaluate cost grasp"),
         (cost, "", EvaluateCost(part="track", model=Path("a.model.h5")), "evaluate cost track"),
         (cost, "", EvaluateCost(part="track", trials=3), "--trials"),

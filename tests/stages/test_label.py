@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from evetac_cli.commands.label import Label
+from evetac_cli.commands.parameter import recipe_of
 from evetac_cli.errors import InputError
-from evetac_cli.evaluate.cost.labels import flow_constants
 from evetac_cli.evaluate.labels import EvaluateLabels
 from evetac_cli.evaluate.labels import measure as evaluate_labels
 from evetac_cli.events import Events, empty
@@ -23,6 +23,13 @@ from tests.conftest import Made
 from tests.make import event_arrays, run_stage, write_recording
 
 METHODS = ("event-flow", "farneback", "dis", "event-count", "truth")
+
+
+def flow_constants(**changes: Any) -> flow.FlowConstants:
+    """The constants of the stage's method `farneback` with some changes."""
+    names = flow.FlowConstants.__dataclass_fields__
+    default = {name: value for name, value in recipe_of(Label(method="farneback")).items() if name in names}
+    return flow.FlowConstants(**{**default, **changes})
 
 
 def label_of(recording: Path, out: Path, **chosen: Any) -> tuple[Path, dict[str, Any]]:

@@ -2,22 +2,19 @@
 
 Settings are compared in pairs, on the same trials. The interval is Student's for the mean of paired differences,
 two-sided, at CONFIDENCE. A bootstrap would be too narrow: with the few trials that fit into three minutes it only
-resamples the same few values. Shares of trials have their own intervals, because Student's interval of a share of 0 or
-1 would be too narrow.
+resamples the same few values.
 """
 
 import math
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from statistics import NormalDist
-from types import MappingProxyType
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from evetac_cli.arrays import Flags, Floats
+from evetac_cli.arrays import Floats
 from evetac_cli.commands.parameter import flag_of
 from evetac_cli.commands.trials import SOLVER_OPTIONS, Trials
 from evetac_cli.evaluate.common import picture
@@ -153,11 +150,11 @@ def size_in(rows: Rows) -> tuple[float, float]:
     return 14.0, 4.2 * len({row.get("part") for row in rows})
 
 
-def draw(figure: Any, rows: Rows, errors: Sequence[str], times: Mapping[str, str] = MappingProxyType({})) -> None:
+def draw(figure: Any, rows: Rows, errors: Sequence[str]) -> None:
     """Plot log error over log run time: a row of panels per value of `part`, a panel per error, a line per setting.
 
     A setting is `line, knob`, or a point without a knob. `standing still` and `reference` are horizontal lines across
-    the panel. times: the column of the run time, for errors that do not belong to `time_us_median`.
+    the panel.
     """
     parts = list(dict.fromkeys(row.get("part", "") for row in rows))
     for subfigure, part in zip(figure.subfigures(len(parts), 1, squeeze=False)[:, 0], parts, strict=True):
@@ -167,12 +164,12 @@ def draw(figure: Any, rows: Rows, errors: Sequence[str], times: Mapping[str, str
             subfigure.suptitle(part)
         panels = picture.panels(subfigure, len(names), len(names))
         for axes, name in zip(panels, names, strict=True):
-            draw_panel(axes, part_rows, name, times.get(name, "time_us_median"))
+            draw_panel(axes, part_rows, name)
         picture.label_x(panels, "run time per millisecond\n(one slice), median [us]")
         picture.legend(subfigure, panels)
 
 
-def draw_panel(axes: Any, rows: Rows, error: str, time_us: str = "time_us_median") -> None:
+def draw_panel(axes: Any, rows: Rows, error: str) -> None:
     """Draw one kind of error; an error of 0 has no position on a logarithmic axis and is left out."""
     lines: dict[str, Rows] = {}
     for row in rows:
@@ -186,7 +183,7 @@ def draw_panel(axes: Any, rows: Rows, error: str, time_us: str = "time_us_median
             knobs = [row["setting"].rpartition(", ")[2] for row in members]
             label = line if knobs == [line] else f"{line}, {knobs[0]} to {knobs[-1]}"
             axes.plot(
-                [row[time_us] for row in points],
+                [row["time_us_median"] for row in points],
                 [row[error] for row in points],
                 label=label,
                 **picture.series(number),
@@ -203,7 +200,7 @@ def draw_panel(axes: Any, rows: Rows, error: str, time_us: str = "time_us_median
 
 
 class ConfidenceInterval(NamedTuple):
-    """Mean of paired differences or share, the ends of its interval, and the number of trials; None if too few."""
+    """Mean of paired differences, the ends of its interval, and the number of trials; None if too few."""
 
     mean: float | None
     low: float | None
@@ -215,38 +212,16 @@ class ConfidenceInterval(NamedTuple):
         return {name: self.mean, f"interval_low{unit}": self.low, f"interval_high{unit}": self.high}
 
 
-def difference(ours: Floats, theirs: Floats, resolution: float = 0.0) -> ConfidenceInterval:
-    """Return the mean of ours - theirs over the trials in which both are known (not NaN).
-
-    resolution: that of both values, such as a slice of 1 ms. Two rounded values differ by chance with a standard
-    deviation of resolution / sqrt(6). The standard deviation is never assumed smaller, so that a few equal differences
-    do not count as certain.
-    """
+def difference(ours: Floats, theirs: Floats) -> ConfidenceInterval:
+    """Return the mean of ours - theirs over the trials in which both are known (not NaN)."""
     apart = ours - theirs
     apart = apart[np.isfinite(apart)]
     count = len(apart)
     if count < 2:
         return ConfidenceInterval(mean(apart), None, None, count)
     middle = float(apart.mean())
-    spread = max(float(apart.std(ddof=1)), resolution / math.sqrt(6.0))
+    spread = float(apart.std(ddof=1))
     from scipy import stats  # takes half a second to load
 
     half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1)) * spread / math.sqrt(count)
     return ConfidenceInterval(middle, middle - half, middle + half, count)
-
-
-def share_difference(ours: Flags, theirs: Flags) -> ConfidenceInterval:
-    """Return the difference, ours - theirs, of two shares over the same trials.
-
-    The interval is Wald's with half a trial added to each of the four cells of the table of pairs (Agresti and Min,
-    Statistics in Medicine 24, 2005). Therefore a difference of 0 is not certain either. With 40 trials the interval has
-    its nominal coverage; with 20 the coverage may be 91 %.
-    """
-    count = len(ours)
-    if count == 0:
-        return ConfidenceInterval(None, None, None, 0)
-    gained, lost = int(np.count_nonzero(ours & ~theirs)), int(np.count_nonzero(theirs & ~ours))
-    middle = (gained - lost) / (count + 2)
-    z = NormalDist().inv_cdf(0.5 + CONFIDENCE / 2)
-    half = z * math.sqrt(gained + lost + 1 - (gained - lost) ** 2 / (count + 2)) / (count + 2)
-    return ConfidenceInterval((gained - lost) / count, max(middle - half, -1.0), min(middle + half, 1.0), count)

@@ -13,10 +13,9 @@ class EvaluateCost:
 
     part: str = parameter(
         "sim",
-        "Part to measure. sim: the simulator. pipeline: simulation settings, by their effect at the end of the whole"
-        " pipeline. label: slip labels. track: the dot tracker. model: slip detectors. grasp: grasps with a delayed"
-        " detector, a slow controller or other detectors.",
-        choices=("sim", "pipeline", "label", "track", "model", "grasp"),
+        "Part to measure. sim: the simulator. track: the dot tracker. model: slip detectors. grasp: grasps with a"
+        " delayed detector, a slow controller or other detectors.",
+        choices=("sim", "track", "model", "grasp"),
         flag="PART",
     )
     model: Path | None = parameter(

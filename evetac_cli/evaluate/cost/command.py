@@ -14,7 +14,7 @@ from evetac_cli.errors import InputError
 from evetac_cli.evaluate.common import picture
 from evetac_cli.evaluate.common.report import report, report_job
 from evetac_cli.evaluate.common.rows import draw, size_in
-from evetac_cli.evaluate.cost import EvaluateCost, grasp, labels, models, pipeline, tracker
+from evetac_cli.evaluate.cost import EvaluateCost, grasp, models, tracker
 from evetac_cli.evaluate.cost import simulator as simulator_cost
 from evetac_cli.jobs import Job, Outcome, Progress, Rows, Stage, silent
 from evetac_cli.store.files import header_of
@@ -43,19 +43,6 @@ PARTS: dict[str, CostPart] = {
         "Simulated gel and camera: error against run time",
         simulator_cost.ERRORS,
         simulator_cost.measure,
-    ),
-    "pipeline": CostPart(
-        "Settings of a recording: error at the end of the chain against its run time, mean over trials",
-        pipeline.ERRORS,
-        pipeline.measure,
-        pipeline.summary,
-        pipeline.draw_settings,
-        lambda rows: (20.0, 4.2),
-    ),
-    "label": CostPart(
-        "Methods of labelling: error against run time",
-        ("error_ms_onset", "error_ms_reference"),
-        labels.measure,
     ),
     "track": CostPart(
         "Dot tracker: error against run time",

@@ -38,14 +38,6 @@ from numpy.typing import NDArray
 from evetac_cli.commands.grasp import Grasp
 from evetac_cli.commands.record import Record
 from evetac_cli.errors import EvetacError, InputError
-from evetac_cli.evaluate.cost.pipeline import (
-    BALANCE_S,
-    LIFT_S,
-    chain_of,
-    package_model,
-    prediction,
-    timed,
-)
 from evetac_cli.evaluate.labels.measure import EARLIEST_MS, LATEST_MS
 from evetac_cli.jobs import Row, silent
 from evetac_cli.kernels.slip import metrics
@@ -62,6 +54,7 @@ from scripts.reproduce.experiment import Experiment, Study, measured
 from scripts.reproduce.facts import commit_in_words
 from scripts.reproduce.steps import Sizes
 from scripts.reproduce.tables import Evaluation, Evaluations
+from scripts.studies.parts.chain import chain_of, package_model, prediction, timed
 from scripts.studies.rows import add_rows, rows_in
 
 # A figure of parts/effects.py: heading and format of its cells.
@@ -95,6 +88,7 @@ PART_EFFECTS = measured(
 NONE = "none"
 SLIPPED, GRASPED = (2, 8, 14), (11, 12, 17)  # objects, in turn
 RESAMPLES = 2000
+LIFT_S, BALANCE_S = 3.5, 0.5  # of a grasp: the hand reaches 50 mm, the least that counts as held, after 3.1 s
 LEAST_PAIRS = 3  # fewest pairs of trials for the interval of a change
 
 
