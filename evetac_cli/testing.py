@@ -51,6 +51,8 @@ from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.store.files import write_stage
 from evetac_cli.store.layout.provenance import Recipe
 
+LEAST_MARK = 4  # bytes that a format must begin with: a shorter mark would occur in other files by chance
+
 # Cameras
 
 
@@ -175,7 +177,7 @@ def check_importer(name: str, file: Path) -> Imported:
     row = _plugin(plugins.IMPORTERS, name, imports.ImportFormat)
     head = file.read_bytes()[: max(map(len, row.begins))]
     assert head.startswith(row.begins), "the file does not begin with a mark of its format"
-    assert all(len(mark) >= imports.LEAST_MARK for mark in row.begins), "a mark is so short that it may occur by chance"
+    assert all(len(mark) >= LEAST_MARK for mark in row.begins), "a mark is so short that it may occur by chance"
     read = read_events(file)
     assert read.format == name, f"the file was read as {read.format}"
     assert set(row.options) <= set(imports.OPTIONS), "allowed options are --stream, --columns and --time-unit"
@@ -192,7 +194,8 @@ def check_importer(name: str, file: Path) -> Imported:
 
 def check_exporter(name: str, folder: Path) -> Path:
     """Check an export format of a plug-in; returns the file, to compare with `small_recording`."""
-    _plugin(plugins.EXPORTERS, name, exports.ExportFormat)
+    row = _plugin(plugins.EXPORTERS, name, exports.ExportFormat)
+    assert all(suffix.startswith(".") for suffix in row.suffixes), "suffixes must begin with a dot"
     source = small_recording(folder / "small.recording.h5")
     target = exports.target_path(source, name, None)
     figures = exports.export(source, name, target)

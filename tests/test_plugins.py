@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evetac_cli import plugins, testing
+from evetac_cli import plugins
 from evetac_cli.cli import dask_engine, exit_codes, main
 from evetac_cli.devices import cameras, grippers
 from evetac_cli.devices.cameras import NamedCamera
@@ -362,16 +362,14 @@ def test_a_class_for_devices_and_an_instance_for_all_else(add: Add) -> None:
 
 
 def test_an_importer_that_cannot_be_used_stops_no_other(add: Add, tmp_path: Path) -> None:
-    """Assert that it is left out, with its reason where no other knows the file, and that a match counts as use."""
+    """Assert that it is left out, and that a match counts as use."""
     other = imports.FORMATS["text"]
-    add(plugins.IMPORTERS, "odd", a=ImportFormat("lab events", other.read), b=ImportFormat, c=ImportFormat((1,), len))  # type: ignore[arg-type]
-    add(plugins.IMPORTERS, "short", d=ImportFormat((b"lab",), other.read), e=other._replace(begins=(b"lab events",)))
+    add(plugins.IMPORTERS, "odd", b=ImportFormat, c="lab events")
     add(plugins.IMPORTERS, "fine", f=ImportFormat((b"\x01lab events",), other.read))
     (path := tmp_path / "a.lab").write_bytes(b"\x02none\n")
     with pytest.raises(InputError) as refused:
         read_events(path)
-    assert "importer a: its `begins` must be a tuple" in str(refused.value)
-    assert "importer d: " in str(refused.value) and "of 4 bytes or more" in str(refused.value)
+    assert "begins with" in str(refused.value)
     assert plugins.used() == {}
     path.write_bytes(b"\x01lab events\n")
     assert imports._format(path).begins == (b"\x01lab events",)
@@ -450,9 +448,7 @@ ONES = np.ones(3, np.int64)
 @pytest.mark.parametrize(
     ("read", "said"),
     [
-        (None, "returned no EventSource"),
         (replace(foreign(ONES, ONES, ONES, ONES), frame_px=(0, 48)), "impossible frame size"),
-        (foreign(ONES, ONES, [1, 1, 1], ONES), "no columns of events(.|\n)*int64, int64, list, int64"),
         (foreign(ONES, ONES, ONES, 2 * ONES), "unknown polarity"),
     ],
 )
@@ -462,22 +458,6 @@ def test_what_an_importer_returns(add: Add, tmp_path: Path, read: Any, said: str
     (path := tmp_path / "a.odd").write_bytes(b"\x01odd\n")
     with pytest.raises(InputError, match=said):
         read_events(path)
-
-
-@pytest.mark.parametrize(
-    ("write", "said"),
-    [
-        (lambda recording, path, progress: None, "wrote no file"),
-        (lambda recording, path, progress: path.write_text("1"), "list of texts, but returned 1"),
-    ],
-)
-def test_what_an_exporter_writes(add: Add, tmp_path: Path, write: Any, said: str) -> None:
-    """Assert that an exporter which writes no file, or returns no texts, is refused in words and leaves nothing."""
-    add(plugins.EXPORTERS, odd=exports.ExportFormat((".odd",), write))
-    source = testing.small_recording(tmp_path / "a.recording.h5")
-    with pytest.raises(InputError, match=f"plug-in exporter odd cannot be used(.|\n)*{said}"):
-        exports.export(source, "odd", tmp_path / "a.odd")
-    assert list(tmp_path.iterdir()) == [source]
 
 
 def test_what_a_plug_in_prints_is_not_json(add: Add, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

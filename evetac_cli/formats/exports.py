@@ -6,7 +6,6 @@ out where the format cannot store them, and the export reports this. Tables and 
 the recording and everything computed from it, one row per slice or frame, without single events.
 """
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
@@ -54,7 +53,6 @@ class ExportFormat(NamedTuple):
     takes: tuple[str, ...] = ()
 
 
-SUFFIX = re.compile(r"(\.[A-Za-z0-9_-]+)+")
 TABLE: dict[str, Any] = {"events": False, "of_trial": True, "takes": ("model",)}
 OF_IMAGES = ("fps", "size")  # parameters of every event image format
 
@@ -99,30 +97,9 @@ def named_format(name: str) -> ExportFormat:
     if plugin is None:
         expected = ", ".join((*FORMATS, *plugins.usable(plugins.EXPORTERS)))
         raise InputError("unknown format", where="--format", expected=expected, found=name)
-    row = format_of_plugin(plugin)
+    row = plugin.load(ExportFormat)
     plugin.use()
     return row
-
-
-def format_of_plugin(plugin: plugins.Plugin) -> ExportFormat:
-    """Return the row of a plug-in; raise InputError if it cannot be used."""
-    row = plugin.load(ExportFormat)
-    if not (isinstance(row.suffixes, tuple) and row.suffixes and all(map(SUFFIX.fullmatch, row.suffixes))):
-        raise plugin.error(f"its `suffixes` must be a tuple of endings such as .toy, but is {row.suffixes!r}")
-    if not callable(row.write or row.write_folder):
-        raise plugin.error(f"its `write` must be a function, but is {row.write!r}")
-    return row
-
-
-def _require_written(format_: str, path: Path, left_out: Any) -> None:
-    """Raise InputError unless a plug-in's `write` made the file and returned what it left out."""
-    plugin = plugins.by_name(plugins.EXPORTERS, format_)
-    if plugin is None:
-        return
-    if not path.is_file() or not path.stat().st_size:
-        raise plugin.error("its `write` wrote no file to the path that it was given")
-    if not (isinstance(left_out, list) and all(isinstance(each, str) for each in left_out)):
-        raise plugin.error(f"its `write` must return None or a list of texts, but returned {left_out!r}")
 
 
 def is_folder(format_: str, out: Path | None) -> bool:
@@ -175,7 +152,6 @@ def export(
         temporary = (together or alone).enter_context(place)
         with utf8_path(temporary) as plain:
             left_out = row.write(files if row.of_trial else recording, plain, progress, **options) or []
-        _require_written(format_, temporary, left_out)
         size = temporary.stat().st_size
         if row.events:
             left_out += _left_out(recording, row.holds)

@@ -6,6 +6,7 @@ A format is recognized by the file's content, not by its name. The checks that a
 import math
 from collections import Counter
 from collections.abc import Generator, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -32,7 +33,6 @@ from evetac_cli.text_files import FileStamps
 
 EXPECTED = names.either(names.IMPORTS.values())
 HEAD_BYTES = 4096
-LEAST_MARK = 4  # bytes that a plug-in's format must begin with: a shorter mark would occur in other files by chance
 BINARY_SUFFIXES = (".aedat4", ".h5", ".hdf5", ".bag", ".db3", ".mcap", ".raw", ".npy", ".npz", ".aedat", ".bin", ".es")
 # Frame sizes of event cameras that are sold or used in data sets, smallest first; and a frame larger than all of them.
 FRAMES_PX = ((128, 128), (240, 180), (304, 240), (320, 240), (346, 260), (320, 320), (640, 480), (1280, 720))
@@ -277,10 +277,6 @@ def _open(path: Path, frame_px: tuple[int, int] | None, options: Mapping[str, st
         flag, files = OPTIONS[name]
         raise InputError(f"{flag} is for {files}", where=str(path), found=options[name], hint="leave it out")
     source = format_.read(path, frame_px, **options)
-    if not isinstance(source, EventSource):
-        of = f"{format_.read.__module__}.{format_.read.__qualname__}"
-        found = type(source).__name__
-        raise InputError(f"the plug-in's reader {of} returned no EventSource", where=str(path), found=found)
     source.frame_px = checked_frame(source.frame_px, str(path), "")
     return source
 
@@ -329,45 +325,24 @@ def _format(path: Path) -> ImportFormat:
             return format_
     first_line = head.partition(b"\n")[0]
     binary = any(byte < 32 and byte not in b"\t\f\r" for byte in first_line)
-    unusable: list[str] = []
     if binary or not read_text.is_text_of_events(first_line.decode(errors="replace")):
-        of_plugin = _format_of_plugin(head, unusable)
+        of_plugin = _format_of_plugin(head)
         if of_plugin is not None:
             return of_plugin
     if binary or path.suffix.lower() in BINARY_SUFFIXES:
-        hint = f"plug-ins that cannot be used: {'; '.join(unusable)}" if unusable else CONVERT
-        raise InputError(message, where=where, expected=EXPECTED, found=f"it begins with {head[:16]!r}", hint=hint)
+        raise InputError(message, where=where, expected=EXPECTED, found=f"it begins with {head[:16]!r}", hint=CONVERT)
     return TEXT
 
 
-def _format_of_plugin(head: bytes, unusable: list[str]) -> ImportFormat | None:
-    """Return the row of the plug-in whose mark the file begins with; add unusable plug-ins to `unusable`, with reasons.
-
-    None if there is no such plug-in.
-    """
+def _format_of_plugin(head: bytes) -> ImportFormat | None:
+    """Return the row of the plug-in whose mark the file begins with; None if there is none that can be used."""
     for plugin in plugins.installed(plugins.IMPORTERS):
-        try:
-            format_ = format_of_plugin(plugin)
-        except InputError as error:
-            unusable.append(f"{plugin.what}: {error.found}")
-            continue
-        if head.startswith(format_.begins):
-            plugin.use()
-            return format_
+        with suppress(InputError):  # `evetac doctor` says why
+            format_ = plugin.load(ImportFormat)
+            if head.startswith(format_.begins):
+                plugin.use()
+                return format_
     return None
-
-
-def format_of_plugin(plugin: plugins.Plugin) -> ImportFormat:
-    """Return the row of a plug-in; raise InputError if it cannot be used."""
-    format_ = plugin.load(ImportFormat)
-    begins, options = format_.begins, format_.options
-    if not isinstance(begins, tuple) or not all(isinstance(mark, bytes) and len(mark) >= LEAST_MARK for mark in begins):
-        raise plugin.error(f"its `begins` must be a tuple of {LEAST_MARK} bytes or more each, but is {begins!r}")
-    if not callable(format_.read):
-        raise plugin.error(f"its `read` must be a function, but is {format_.read!r}")
-    if not isinstance(options, tuple) or not all(name in OPTIONS for name in options):
-        raise plugin.error(f"its `options` must be a tuple of {', '.join(OPTIONS)}, but is {options!r}")
-    return format_
 
 
 def _head(path: Path) -> bytes:

@@ -300,10 +300,6 @@ def _gathered(batches: Iterable[EventColumns], where: str) -> Iterator[EventColu
     waiting: list[EventColumns] = []
     count = 0
     for batch in batches:
-        if not isinstance(batch, EventColumns) or not all(map(_is_column, batch[:4])):
-            found = ", ".join(str(getattr(column, "dtype", type(column).__name__)) for column in batch)
-            expected = "EventColumns of four arrays of numbers, of one dimension"
-            raise InputError("the reader returned no columns of events", where=where, expected=expected, found=found)
         check_lengths([len(column) for column in batch[:4]], where)
         if waiting and any(a.dtype != b.dtype for a, b in zip(waiting[0][:4], batch[:4], strict=True)):
             yield _joined(waiting)
@@ -315,10 +311,6 @@ def _gathered(batches: Iterable[EventColumns], where: str) -> Iterator[EventColu
             waiting, count = [], 0
     if waiting:
         yield _joined(waiting)
-
-
-def _is_column(column: Any) -> bool:
-    return isinstance(column, np.ndarray) and column.ndim == 1 and column.dtype.kind in "biuf"
 
 
 def _joined(parts: list[EventColumns]) -> EventColumns:

@@ -18,7 +18,8 @@ from evetac_cli.devices.probe import FTDI, Host, SerialPort
 from evetac_cli.devices.rh_p12_rn.control_table import MODEL_NUMBER, OLD_MODEL_NUMBER, hardware_errors
 from evetac_cli.devices.rh_p12_rn.dynamixel_bus import BusDevice
 from evetac_cli.errors import EXTRAS, DeviceError, InputError, install_hint, pip
-from evetac_cli.formats import exports, imports
+from evetac_cli.formats.exports import ExportFormat
+from evetac_cli.formats.imports import ImportFormat
 from evetac_cli.inspect.doctor.cameras import camera_rows, check, end_program, show
 from evetac_cli.inspect.doctor.udev import INSTALL_RULES, JOIN
 from evetac_cli.jobs import LookCall, Outcome, Row
@@ -48,8 +49,8 @@ SERVES = {
 LOADED: dict[str, Callable[[Plugin], object]] = {
     plugins.CAMERAS: lambda plugin: plugin.load(NamedCamera),
     plugins.GRIPPERS: lambda plugin: plugin.load(NamedGripper),
-    plugins.IMPORTERS: imports.format_of_plugin,
-    plugins.EXPORTERS: exports.format_of_plugin,
+    plugins.IMPORTERS: lambda plugin: plugin.load(ImportFormat),
+    plugins.EXPORTERS: lambda plugin: plugin.load(ExportFormat),
     plugins.CONTROLLERS: lambda plugin: plugin.load(PluginLaw),
     plugins.NETWORKS: lambda plugin: plugin.load(PluginLayers),
     plugins.SCENES: lambda plugin: scene_file.load(plugin.name),
