@@ -64,11 +64,13 @@ def test_stages_take_the_packages_model(made: Made, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_packages_detector_on_recordings_of_ones_own(made: Made, tmp_path: Path) -> None:
     """Assert that `evaluate slip FILES --model shipped` judges trials of one's own, as its own file does by path."""
-    features = [str(made.beside(path, "features")) for path in made.recordings[:2]]
+    features, recordings = str(tmp_path / "features"), map(str, made.recordings[:2])
+    run = CliRunner().invoke(app, ["featurize", *recordings, "--sticking-share", "-o", features])
+    assert run.exit_code == 0, run.stderr
     answers = []
     for number, model in enumerate((SHIPPED, str(MODEL))):
         out = str(tmp_path / f"{number}.report.h5")
-        run = CliRunner().invoke(app, ["evaluate", "slip", *features, "--model", model, "-o", out, "--json"])
+        run = CliRunner().invoke(app, ["evaluate", "slip", features, "--model", model, "-o", out, "--json"])
         assert run.exit_code == 0, run.stderr
         answers.append(json.loads(run.stdout)["rows"])
     assert answers[0] == answers[1]
