@@ -52,7 +52,8 @@ read_model = functools.cache(Model.read)  # once in each process
 def judged(one: SeenTrial, models: dict[str, Path]) -> Row:
     """Return the row of a trial with the results of every score."""
     assert one.trial is not None
-    scores = slip_trials.scores_of(one, {name: read_model(path) for name, path in models.items()})
+    read = {name: read_model(path) for name, path in models.items() if name not in one.scores}
+    scores = slip_trials.scores_of(one, read)
     return one.row | slip_trials.judged(one.motion, one.trial, scores)
 
 
