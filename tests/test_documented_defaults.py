@@ -57,13 +57,10 @@ def _time_unit(seconds: list[float]) -> str:
 # What is documented of a parameter's default, made from the value that the code has.
 DOCUMENTED: dict[tuple[str, str], Callable[[], str]] = {
     ("trials", "tolerance_um"): lambda: f"the scene's, or {Solver.tolerance_um}",
-    ("trials", "theta"): lambda: f"the scene's, or {Solver.theta}",
     ("trials", "node_pitch_mm"): lambda: (
         f"the scene's, or {Solver.node_pitch_mm}; a simulated `grasp` takes the coarsest of {LIFT_PITCH_MM} to"
         f" {trial.FINEST_MM} that"
     ),
-    ("trials", "camera_substeps"): lambda: f"the scene's, or {Solver.camera_substeps}",
-    ("trials", "scans_per_ms"): lambda: f"the scene's, or {Solver.scans_per_ms}",
     ("trials", "watchdog_ms"): lambda: f"{RhP12RnSettings.watchdog_ms} to record, {real_time.WATCHDOG_MS} to grasp",
     ("record", "holding_ma"): lambda: f"that of the virtual scene, {capture_plan.HOLDING_MA:g} otherwise",
     ("record", "readout_rate"): lambda: DvxplorerSettings().readout_rate,

@@ -76,6 +76,8 @@ def test_commands_work_with_odd_names(command: str, folder: Path, monkeypatch: p
     """Assert that each reads and writes them, that names come back as they are, and that what is written is valid."""
     monkeypatch.chdir(folder)
     name = folder.name
+    if command == "attach" and as_utf8(name) != name:
+        pytest.skip("pyarrow opens no file of such a name")
     for words in COMMANDS[command]:
         if "--import" in words and not as_utf8(name).isprintable():
             continue

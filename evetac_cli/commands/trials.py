@@ -11,7 +11,7 @@ from evetac_cli.names import Capability
 SCENE, VIEW, DEVICES = "Scene", "Live view", "Devices"  # panels of --help
 SIMULATED = (Capability.SCENE,)
 SERIES = (Capability.SCENE, Capability.DEVICE)
-SOLVER_OPTIONS = ("tolerance_um", "step_ms", "theta", "node_pitch_mm", "camera_substeps", "scans_per_ms")
+SOLVER_OPTIONS = ("tolerance_um", "step_ms", "node_pitch_mm")
 
 
 @dataclass(frozen=True)
@@ -124,15 +124,6 @@ class Trials:
         panel=EXPERTS,
         needs=SIMULATED,
     )
-    theta: float | None = parameter(
-        None,
-        "Implicitness of the mechanical step: 1 is implicit Euler, 0.5 the trapezoidal rule; default: the scene's, or"
-        " 0.51.",
-        low=0.5,
-        high=1.0,
-        panel=EXPERTS,
-        needs=SIMULATED,
-    )
     node_pitch_mm: float | None = parameter(
         None,
         "Distance between the gel's nodes; default: the scene's, or 0.833; a simulated `grasp` takes the coarsest of"
@@ -140,23 +131,6 @@ class Trials:
         unit="mm",
         low=0.05,
         high=5.0,
-        panel=EXPERTS,
-        needs=SIMULATED,
-    )
-    camera_substeps: int | None = parameter(
-        None,
-        "Straight segments of a dot's path in each ms; default: the scene's, or 1.",
-        low=1,
-        high=100,
-        panel=EXPERTS,
-        needs=SIMULATED,
-    )
-    scans_per_ms: int | None = parameter(
-        None,
-        "Scans of the simulated readout per ms; default: the scene's, or 5.",
-        unit="1/ms",
-        low=1,
-        high=1000,
         panel=EXPERTS,
         needs=SIMULATED,
     )

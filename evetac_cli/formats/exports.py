@@ -27,7 +27,7 @@ from evetac_cli.formats.write.slice_columns import Opener, WrittenFolder, record
 from evetac_cli.jobs import Progress, require_possible_name, silent
 from evetac_cli.kernels.event_representation import Kind
 from evetac_cli.store.files import stem
-from evetac_cli.store.hdf5.disk import check_free, taking_the_place_of, utf8_path
+from evetac_cli.store.hdf5.disk import check_free, taking_the_place_of
 from evetac_cli.store.made_folders import new_folder
 from evetac_cli.store.recordings.read import Recording
 
@@ -150,8 +150,7 @@ def export(
             raise InputError("the output would replace the recording", where=str(target))
         place = taking_the_place_of(target, target.suffix, partial(check_free, target, force=force))
         temporary = (together or alone).enter_context(place)
-        with utf8_path(temporary) as plain:
-            left_out = row.write(files if row.of_trial else recording, plain, progress, **options) or []
+        left_out = row.write(files if row.of_trial else recording, temporary, progress, **options) or []
         size = temporary.stat().st_size
         if row.events:
             left_out += _left_out(recording, row.holds)
@@ -194,8 +193,7 @@ def export_folder(
     row = named_format(format_)
     assert row.write_folder is not None
     with new_folder(folder) as temporary:
-        with utf8_path(temporary) as plain:
-            written = row.write_folder(sources, opened, plain, progress, **options)
+        written = row.write_folder(sources, opened, temporary, progress, **options)
         sizes = [path.stat().st_size for path in temporary.rglob("*") if path.is_file()]
     return {
         "recordings": len(sources),

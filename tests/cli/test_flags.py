@@ -44,7 +44,7 @@ def test_what_most_people_need_fits_a_screen() -> None:
     assert sum(line.startswith("│") for lines in by_title.values() for line in lines) <= LINES
     more = panels(evetac("record", "--help-all").stdout)
     assert list(more) == [*by_title, EXPERTS]
-    assert {"--theta", "--camera-substeps", "--engine"} <= set(re.findall(r"--[a-z-]+", " ".join(more[EXPERTS])))
+    assert {"--tolerance", "--step-ms", "--engine"} <= set(re.findall(r"--[a-z-]+", " ".join(more[EXPERTS])))
 
 
 @pytest.mark.parametrize(("path", "command"), COMMANDS, ids=IDS)

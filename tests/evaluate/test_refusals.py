@@ -30,8 +30,6 @@ WINDOWS = ("", "x", "0.05", "11", "1,,2", "nan", "-1")
 @pytest.mark.parametrize(
     ("stage", "names", "params", "place"),
     [
-        (data_rate, "a", EvaluateDataRate(rgb_frame="540x480"), "--rgb-frame"),
-        (data_rate, "a", EvaluateDataRate(rgb_frame="0x480x3"), "--rgb-frame"),
         (data_rate, "empty", EvaluateDataRate(), "empty"),
         *((vibration, "a", EvaluateVibration(windows=text), "--windows") for text in WINDOWS),
         (vibration, "a", EvaluateVibration(rate=100, lowest_hz=50.0), "--lowest-hz"),

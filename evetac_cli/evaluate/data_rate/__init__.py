@@ -42,9 +42,6 @@ class EvaluateDataRate:
     As in the paper, only events in the first 540 columns are counted; those of the window are reported separately.
     """
 
-    event_bytes: int = parameter(5, "Size of an event: x, y and polarity.", unit="bytes", low=1, high=64)
-    rgb_frame: str = parameter("540x480x3", "Frame of the RGB sensor: width, height and bytes per pixel.")
-    rgb_hz: float = parameter(25.0, "Frame rate of the RGB sensor.", unit="Hz", low=0.001, high=1e6)
     around_s: float = parameter(
         0.5, "Length of the interval that counts as around slip, centred on the onset.", unit="s", low=0.002
     )

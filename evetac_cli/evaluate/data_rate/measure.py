@@ -16,7 +16,6 @@ the columns beyond, where a cut gel has its window, are reported as a separate s
 in the paper.
 """
 
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -40,7 +39,9 @@ from evetac_cli.store.recordings import slip_grid
 from evetac_cli.store.recordings.onset import LabelledOnset, gel_counts, in_short, labelled_onset
 from evetac_cli.store.recordings.read import Recording, open_recording, true_onset
 
-METHOD = 4
+METHOD = 5
+EVENT_BYTES = 5  # x, y and polarity
+RGB_BYTES_S = 540 * 480 * 3 * 25  # of the paper's RGB sensor: frames of three bytes per pixel, 25 times per second
 INTERVALS = ("whole", "contact", "slip")
 ALL = "all"  # in the column `object` of a row over all recordings
 
@@ -58,7 +59,6 @@ Intervals = dict[str, SliceInterval]
 
 def jobs(files: list[Path], params: EvaluateDataRate, out: Path | None) -> list[Job]:
     """Return one report job over all recordings."""
-    _rgb_bytes_s(params)
     return report_job(files, "data-rate", out)
 
 
@@ -81,7 +81,7 @@ def run(job: Job, params: EvaluateDataRate, *, force: bool = False, progress: Pr
         for path in each(job.inputs, progress):
             with open_recording(path) as recording:
                 spans = intervals(recording, params.around_s)
-                trials.append((_row(recording, spans, params), spans))
+                trials.append((_row(recording, spans), spans))
         rows = [row for row, _ in trials]
         of_intervals = [_interval_row(interval, trials, as_papers=as_papers) for interval in INTERVALS]
         objects = list(dict.fromkeys(row["object"] for row in rows))
@@ -94,7 +94,7 @@ def run(job: Job, params: EvaluateDataRate, *, force: bool = False, progress: Pr
         shares = {f"share_{row['interval']}": row["share_mean"] for row in of_intervals}
         shares |= {f"trajectories_{row['interval']}": row["trajectories"] for row in of_intervals}
         shares |= {f"window_share_{row['interval']}": row["window_share_mean"] for row in of_intervals}
-        rgb = {"columns": COLUMNS, "rgb_bytes_s": _rgb_bytes_s(params)}
+        rgb = {"columns": COLUMNS, "rgb_bytes_s": RGB_BYTES_S}
         return [*rows, *of_intervals, *by_object], {"trajectories": len(rows), **shares, **rgb}
 
     return report(job, "evaluate data-rate", METHOD, parameters, parents, measure, force=force)
@@ -125,24 +125,15 @@ def _share_in_words(row: Row) -> str:
     )
 
 
-def _rgb_bytes_s(params: EvaluateDataRate) -> float:
-    """Return the bytes per second of the RGB sensor; raise InputError if `--rgb-frame` is not a size."""
-    if not re.fullmatch("[1-9][0-9]{0,4}x[1-9][0-9]{0,4}x[1-9][0-9]?", params.rgb_frame):
-        expected = "width x height x bytes, such as 540x480x3"
-        raise InputError("not a frame size", where="--rgb-frame", expected=expected, found=params.rgb_frame)
-    width, height, pixel = (int(size) for size in params.rgb_frame.split("x"))
-    return width * height * pixel * params.rgb_hz
-
-
-def _row(recording: Recording, spans: Intervals, params: EvaluateDataRate) -> dict[str, Any]:
-    bytes_a_slice = gel_counts(recording, columns=COLUMNS) * params.event_bytes
-    of_window = np.diff(recording.starts) * params.event_bytes - bytes_a_slice
+def _row(recording: Recording, spans: Intervals) -> dict[str, Any]:
+    bytes_a_slice = gel_counts(recording, columns=COLUMNS) * EVENT_BYTES
+    of_window = np.diff(recording.starts) * EVENT_BYTES - bytes_a_slice
     row: dict[str, Any] = {
         "file": recording.path.name,
         "object": object_name(recording.header),
         "duration_s": len(recording) / SLICES_PER_S,
         "events": recording.event_count,
-        "events_of_window": int(of_window.sum()) // params.event_bytes,
+        "events_of_window": int(of_window.sum()) // EVENT_BYTES,
         "max_bytes_per_slice": int(bytes_a_slice.max()),
         "contact_from_ms": None if spans["contact"].missing_because else spans["contact"].start,
         "contact_to_ms": None if spans["contact"].missing_because else spans["contact"].stop,
@@ -154,8 +145,8 @@ def _row(recording: Recording, spans: Intervals, params: EvaluateDataRate) -> di
             for counted in (bytes_a_slice, of_window)
         )
         row[f"bytes_s_{name}"] = bytes_s
-        row[f"share_{name}"] = None if bytes_s is None else bytes_s / _rgb_bytes_s(params)
-        row[f"window_share_{name}"] = None if window_bytes_s is None else window_bytes_s / _rgb_bytes_s(params)
+        row[f"share_{name}"] = None if bytes_s is None else bytes_s / RGB_BYTES_S
+        row[f"window_share_{name}"] = None if window_bytes_s is None else window_bytes_s / RGB_BYTES_S
     reasons = [f"{name}: {interval.missing_because}" for name, interval in spans.items() if interval.missing_because]
     return row | {slip_grid.COLUMN: slip_grid.nodes_of(recording), "not_measured": "; ".join(reasons) or None}
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from evetac_cli.errors import InputError, needs_extra
 from evetac_cli.formats.read.damage import read_in_words, refuse_too_much
 from evetac_cli.formats.read.table_names import TICKS_S, Times, find_times, has_unit, is_time, name_and_unit
-from evetac_cli.store.hdf5.disk import joined_on_disk, utf8_path
+from evetac_cli.store.hdf5.disk import joined_on_disk
 from evetac_cli.store.recordings.streams import Stream, free_name
 from evetac_cli.text_files import open_regular
 
@@ -64,8 +64,8 @@ def read_table(path: Path, folder: Path | None, length_s: float = math.inf) -> t
     where = str(path)
     with needs_extra("CSV and Parquet need pyarrow", "convert", where):
         import pyarrow  # noqa: F401
-    with read_in_words(where, "the table cannot be read"), utf8_path(path) as place:
-        names, types, batches_of, notes = _parquet(place) if is_parquet(path) else _csv(place, where)
+    with read_in_words(where, "the table cannot be read"):
+        names, types, batches_of, notes = _parquet(path) if is_parquet(path) else _csv(path, where)
         if len(names) > MOST_COLUMNS:
             raise _too_wide(len(names), where)
         times = find_times(names, types, where)

@@ -15,7 +15,6 @@ from evetac_cli.formats.write.write_table import load_pyarrow, write_data_set
 from evetac_cli.inspect.share.sections import SharedTrial, citation, limitations, look, made_with, trials_of
 from evetac_cli.jobs import Progress
 from evetac_cli.store.data_set import FileRow, foreign_note, read_data_set
-from evetac_cli.store.hdf5.disk import utf8_path
 
 MOST_LISTED = 20  # objects or sensors
 TABLES = "tables"
@@ -112,8 +111,7 @@ def _write(trials: Sequence[SharedTrial], folder: Path, progress: Progress) -> s
     from evetac_cli.inspect.export import trial_files  # imported here because it loads all formats
 
     sources, places = [one.source for one in trials], [(one.split, one.name) for one in trials]
-    with utf8_path(folder) as plain:
-        left_out = write_data_set(sources, trial_files, plain / TABLES, progress, places).left_out
+    left_out = write_data_set(sources, trial_files, folder / TABLES, progress, places).left_out
     more = f", and {len(left_out) - 1} more" if len(left_out) > 1 else ""
     return f"not in the tables: {left_out[0]}{more}" if left_out else ""
 

@@ -196,24 +196,6 @@ def _start(path: Path) -> str:
     return f".{name}.{platform.node()}."  # a folder may be shared, and processes of other machines are not visible
 
 
-@contextmanager
-def utf8_path(path: Path) -> Iterator[Path]:
-    """Yield a UTF-8 path for an existing or new file, for libraries that accept no other.
-
-    On Linux it leads through the file, or its folder, held open meanwhile; elsewhere it is the path itself.
-    """
-    if as_utf8(str(path)) == str(path) or not os.path.isdir("/proc/self/fd"):
-        yield path
-        return
-    is_there = path.exists()
-    descriptor = os.open(path if is_there else path.parent, os.O_PATH | os.O_CLOEXEC)
-    try:
-        place = Path(f"/proc/self/fd/{descriptor}")
-        yield place if is_there else place / path.name
-    finally:
-        os.close(descriptor)
-
-
 def _lives(process: str) -> bool:
     """Whether the process of a temporary file, given by its number, still runs."""
     try:

@@ -108,12 +108,9 @@ def test_the_papers_figures_are_about_its_own_motions(tmp_path: Path) -> None:
         assert "not shown" in data_rate.for_people([*rows, *intervals], EvaluateDataRate())[1][-1]
 
 
-def test_sizes_are_settable(tmp_path: Path) -> None:
-    """Assert that the share is as the bytes of an event, and inversely as frame, pixel and frame rate."""
+def test_the_interval_about_slip_is_settable(tmp_path: Path) -> None:
+    """Assert the bytes per second of a second around the onset."""
     path = recording_file(tmp_path / "a.recording.h5", steps(), truth=True)
-    ((usual,), _) = evaluated(path)
-    ((other,), _) = evaluated(path, event_bytes=10, rgb_frame="270x480x1", rgb_hz=50.0)
-    assert other["share_whole"] == pytest.approx(usual["share_whole"] * 2 * 2 * 3 / 2)
     ((about,), _) = evaluated(path, around_s=1.0)
     assert about["bytes_s_slip"] == pytest.approx((500 * 100 + 400 * 10 + 100) / 1000 * 5000)
 
