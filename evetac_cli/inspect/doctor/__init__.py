@@ -58,7 +58,6 @@ LOADED: dict[str, Callable[[Plugin], object]] = {
     plugins.OBJECTS: lambda plugin: named_objects(plugin.name),
 }
 
-NO_PORTS = ("virtual", "sim", "none")  # other values of `--gripper` in commands that use a gripper
 NOT_ASKED = "not checked: not an FTDI adapter"
 WHICH_PORTS = "`ls /dev/ttyUSB* /dev/ttyACM*` lists the ports"
 
@@ -75,10 +74,6 @@ def run(params: Doctor, host: Host | None = None) -> Outcome:
     cameras = host.cameras() if host.has_libusb() else []
     for camera in cameras:
         rows += camera_rows(host, camera)
-    kind = (params.gripper or "").partition(":")[0]
-    if kind in NO_PORTS:
-        reason = f"no: a {kind} gripper needs no check" if kind != "none" else "no: no gripper was given"
-        rows.append(check(f"gripper {kind}", "examined", None, reason, "", "give a port: --gripper /dev/ttyUSB0"))
     grippers = 0
     for port, user_gripper in _ports(host, params):
         if user_gripper is None and port.vendor != FTDI:
@@ -145,8 +140,7 @@ def _disk(host: Host, folder: Path) -> Row:
 
 def _ports(host: Host, params: Doctor) -> Iterator[tuple[SerialPort, Serial | None]]:
     """Yield the existing serial ports and the one that the user gave, with the gripper given there."""
-    option = params.gripper or ""
-    user_gripper = parse_port(option) if option and option.partition(":")[0] not in NO_PORTS else None
+    user_gripper = parse_port(params.gripper) if params.gripper else None
     for port in host.serial_ports():
         if user_gripper is None or port.path.resolve() != Path(user_gripper.port).resolve():
             yield port, None

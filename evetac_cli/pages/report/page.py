@@ -1,8 +1,7 @@
 """The page of report: trials, onsets and evaluations of one study, or of two compared."""
 
 import html
-import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from evetac_cli.commands.columns import Column, columns_of, find
@@ -12,15 +11,13 @@ from evetac_cli.jobs import Row
 from evetac_cli.pages import shared
 from evetac_cli.pages.report import figures
 from evetac_cli.pages.report.figures import StudyFigure
-from evetac_cli.pages.report.study import Found, Study, StudyTrial
+from evetac_cli.pages.report.study import Found, Study
 from evetac_cli.pages.report.trial_table import onset_charts, trial_table, trials_of_both
 from evetac_cli.pages.shared import cell, figure_text, table
 from evetac_cli.resources import PACKAGE
 
-MOST_PATHS = 20  # in a command
 MOST_ROWS = 300  # of each table except the trials
 Entries = list[tuple[Study, Found, Row]]
-STAGES = (("tracks", "track"), ("labels", "label"), ("features", "featurize"))  # in processing order
 
 
 def render(studies: Sequence[Study], page: Path) -> bytes:
@@ -32,7 +29,7 @@ def render(studies: Sequence[Study], page: Path) -> bytes:
         sections.append(("both", "Trials in both studies", trials_of_both(studies)))
     sections.append(("trials", "Trials", _charts(onset_charts(studies)) + trial_table(studies, page)))
     sections += [(subject.name, subject.title, _section(subject, studies)) for subject in SUBJECTS]
-    sections = [*filter(lambda section: section[2], sections), ("missing", "What is missing", _missing(studies))]
+    sections = [section for section in (*sections, ("notes", "Notes", _notes(studies))) if section[2]]
     body = "".join(
         f"<section class='card' id='{name}'><h2>{head}</h2>{text}</section>" for name, head, text in sections
     )
@@ -169,43 +166,7 @@ def _with_paper(name: str, row: Row, evaluation: Found) -> str:
     return cell(row.get(name), words)
 
 
-def _missing(studies: Sequence[Study]) -> str:
-    """Return the stage files that are missing, with commands that a click selects, and the notes of each study."""
-    lines = []
-    for study in studies:
-        which = f"{study.name}: " if len(studies) > 1 else ""
-        lines += [f"<li>{html.escape(which)}{words}</li>" for words in (*_lacks(study), *map(html.escape, study.notes))]
-    if not lines:
-        return "<p class='hint'>Nothing.</p>"
-    relative = any(not study.folder.is_absolute() for study in studies)
-    where = f"; run it in {html.escape(str(Path.cwd()))}" if relative else ""
-    hint = f"A click selects a command{where}."
-    return f"<p class='hint'>{hint}</p><ul>{''.join(lines)}</ul>"
-
-
-def _lacks(study: Study) -> Iterator[str]:
-    """Yield the kinds of stage files that trials could have and do not, each with the command that makes them."""
-    if not study.files["recording"]:
-        yield "There are no recordings, so there are no events, truth or thumbnails."
-    for kind, command in STAGES:
-        allowed = [trial for trial in study.trials if _allows(kind, trial)]
-        without = [study.folder / trial.files["recording"] for trial in allowed if kind not in trial.files]
-        if without:
-            has = "has" if len(without) == 1 else "have"
-            paths = without if len(allowed) < study.files["recording"] else (path.parent for path in without)
-            shown = html.escape(_command_for(command, dict.fromkeys(paths)))
-            counted = f"{len(without)} of {len(study.trials)} trials"
-            yield f"{counted} {has} no {kind}. <code class='command'>{shown}</code>"
-
-
-def _allows(kind: str, trial: StudyTrial) -> bool:
-    """Whether a stage can make a kind of file from a trial: tracking needs a dot grid, slip labels need the window."""
-    if "recording" not in trial.files or trial.broken or trial.grasp is not None:
-        return False
-    return trial.has_dots and (kind == "tracks" or trial.has_window)
-
-
-def _command_for(command: str, paths: Iterable[Path]) -> str:
-    """Return a command of evetac for a shell, with at most MOST_PATHS of the paths, none of which looks like a flag."""
-    texts = [f"./{path}" if str(path).startswith("-") else str(path) for path in paths]
-    return " ".join(("evetac", command, *map(shlex.quote, texts[:MOST_PATHS])))
+def _notes(studies: Sequence[Study]) -> str:
+    """Return the notes of each study; empty without any."""
+    lines = [f"{study.name}: {note}" if len(studies) > 1 else note for study in studies for note in study.notes]
+    return f"<ul>{''.join(f'<li>{html.escape(line)}</li>' for line in lines)}</ul>" if lines else ""

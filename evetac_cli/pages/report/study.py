@@ -74,8 +74,6 @@ class StudyTrial:
     files: dict[str, str]  # kind -> path relative to the folder
     events: int | None = None
     has_truth: bool = False
-    has_dots: bool = False  # a grid of dots to follow
-    has_window: bool = False
     sensor: RecordedSensor = UNKNOWN_SENSOR
     t_s: int | None = None  # ms; truth
     t_c: int | None = None  # ms; labels; None if they abstain
@@ -237,8 +235,6 @@ def _read_trial(folder: Path, trial: StudyTrial, *, draw: bool) -> None:
                 if recording.has("control/outcome"):
                     trial.grasp = json.loads(recording.read("control/outcome"))
                 trial.has_truth = recording.has("truth")
-                trial.has_dots = recording.dot_xy_px is not None
-                trial.has_window = recording.window_px is not None
                 trial.t_s = true_onset(recording) if trial.has_truth else None
                 if draw and len(recording):
                     trial.thumbnail = _thumbnail(trial, recording)

@@ -132,27 +132,16 @@ def _check_gripper_and_friction(sensor: Sensor, where: str) -> None:
 
 
 def _check_hot_pixels(table: HotPixelTable, where: str) -> None:
-    """Raise InputError if a pixel is listed twice or its values contradict each other."""
-    columns = (table.x_px, table.y_px, table.rate_hz, table.on_share, table.polarity_change_share)
-    seen = set()
-    for place, (x, y, rate_hz, on, change) in enumerate(zip(*columns, strict=True)):
-        what = f"hot_pixel_table: pixel {place} at ({x}, {y})"
-        if (x, y) in seen:
-            raise InputError(f"{what} is listed twice", where=where)
-        seen.add((x, y))
-        if change > 2 * min(on, 1 - on) + 1e-9:
-            rarer = f"{2 * min(on, 1 - on):g}, twice the share of the rarer polarity"
-            expected = f"polarity_change_share of at most {rarer}"
+    """Raise InputError if a pixel has more events than its dead time and short intervals allow."""
+    columns = (table.rate_hz, table.short_interval_share, table.short_interval_us)
+    for place, (rate_hz, share, short_us) in enumerate(zip(*columns, strict=True)):
+        quick_us = table.dead_time_us + share * short_us
+        if quick_us * rate_hz * 1e-6 >= 1.0:
             raise InputError(
-                f"{what} changes its polarity too often", where=where, expected=expected, found=f"{change}"
-            )
-        quick_us = table.short_interval_share[place] * table.short_interval_us[place]
-        if (table.dead_time_us + quick_us) * rate_hz * 1e-6 >= 1.0:
-            raise InputError(
-                f"{what} has too many events for its dead time and short intervals",
+                f"hot_pixel_table: pixel {place} has too many events for its dead time and short intervals",
                 where=where,
                 expected="dead_time_us + short_interval_share * short_interval_us below the mean time between events",
-                found=f"{table.dead_time_us + quick_us:g} us of {1e6 / rate_hz:g} us",
+                found=f"{quick_us:g} us of {1e6 / rate_hz:g} us",
             )
 
 

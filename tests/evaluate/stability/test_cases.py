@@ -10,7 +10,6 @@ import pytest
 from evetac_cli.errors import InputError
 from evetac_cli.evaluate.stability.cases import (
     LIFTS,
-    MORE_LIFTS,
     REFUSED,
     SLIP_SOON,
     SLIPS,
@@ -70,9 +69,7 @@ def test_a_refusal_is_no_failure():
     assert not any(ok([failed, *run_case("x", silent)]))
 
 
-ALL = [("slip", name, SLIPS[name]) for name in SLIPS] + [
-    ("lift", name, tables) for name, tables in (LIFTS | MORE_LIFTS).items()
-]
+ALL = [("slip", name, SLIPS[name]) for name in SLIPS] + [("lift", name, LIFTS[name]) for name in LIFTS]
 
 
 @pytest.mark.parametrize(("base", "name", "tables"), ALL, ids=[f"{base}: {name}" for base, name, _ in ALL])

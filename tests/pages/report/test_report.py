@@ -1,9 +1,7 @@
 """report: what is read of a folder, what stands out, the paper beside it, and the page as a file."""
 
-import html
 import json
 import re
-import shlex
 import shutil
 from pathlib import Path
 from typing import Any
@@ -19,9 +17,6 @@ from evetac_cli.pages.report.study import Study, read_study, remark
 from tests.make import evetac
 from tests.pages.report.studies import slip_rows, write_report, write_trials
 from tests.pages.view.trials import NASTY, ONSET, write_recording
-from tests.quick import few
-
-QUOTED = 'it\'s "quoted" & $HOME;'
 
 
 def page_of(folder: Path, out: Path, **chosen: Any) -> str:
@@ -62,14 +57,13 @@ def test_outliers_come_first(study: Study, text: str) -> None:
 
 
 def test_the_page_is_whole(text: str) -> None:
-    """Assert that the page has trials, models beside the paper with a mark, cases, and what is missing; no network."""
+    """Assert that the page has trials, models beside the paper with a mark, and cases; no network."""
     assert "default-src 'none'" in text and "@@" not in text and "\0" not in text
     assert re.findall(r"<(?:script|link|img|iframe)[^>]*(?:src|href)='?\"?(?!data:)[a-z]+:", text) == []
     assert "0.5 <small class='paper'>(0.73, other method)</small>" in text
     assert text.index("<td>thick") < text.index("<td>thin")  # the case that is not ok comes first
     assert "&lt;b&gt;forces&lt;/b&gt; are balanced" in text
     assert "broken.labels.h5" in text
-    assert "5 of 5 trials have no tracks. <code class='command'>evetac track " in text
     for present in ("id='slip'", "id='stability'", ">simulated<"):
         assert present in text, present
     assert "id='grasp'" not in text
@@ -194,24 +188,3 @@ def test_command(folder: Path, tmp_path: Path) -> None:
     assert row["size_bytes"] == page.stat().st_size < shared.LARGEST_BYTES
     result = evetac("report", folder, "-o", page)
     assert (result.exit_code, "the output exists" in result.stderr) == (2, True)
-
-
-def commands(folder: Path, **chosen: Any) -> list[str]:
-    """The commands offered for what is missing."""
-    text = page_of(folder, Path("r.html"), **chosen)
-    section = text[text.index("id='missing'") : text.index("<footer>")]
-    return [html.unescape(one) for one in re.findall(r"<code class='command'>(.*?)</code>", section)]
-
-
-@pytest.mark.parametrize("name", few(["plain", "with space", QUOTED, "-dash", "ünï", "glob[*]"], QUOTED, "-dash"))
-def test_commands_can_be_copied(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Assert that a command is a shell's words with the folder, which need not lie at the top, as one of them."""
-    monkeypatch.chdir(tmp_path)
-    folder = tmp_path / name / "below"
-    folder.mkdir(parents=True)
-    write_recording(folder / "a.recording.h5", 60)
-    words = [shlex.split(command) for command in commands(Path(name))]
-    assert all(Path(path) == Path(name) / "below" and path[0] != "-" for _, _, path in words)
-    assert [word for _, word, _ in words] == ["track", "label", "featurize"]
-    write_recording(folder / "g.recording.h5", 60, grasp=True)  # of which nothing can be made
-    assert [shlex.split(command)[2] for command in commands(Path(name))] == [f"{words[0][2]}/a.recording.h5"] * 3

@@ -66,8 +66,6 @@ SENSORS: list[tuple[dict[str, Any], str]] = [
     ({"dot_xy_px": []}, "dot_xy_px"),
     ({"dot_xy_px": FEW, "turned_deg": 1.0}, "turned_deg"),
     ({"hot_pixel_table": {**HOT, "x_px": [3]}}, "hot_pixel_table"),
-    ({"hot_pixel_table": {**HOT, "x_px": [3, 3], "y_px": [4, 4]}}, "listed twice"),
-    ({"hot_pixel_table": {**HOT, "on_share": [0.95, 0.5]}}, "polarity_change_share"),
     ({"hot_pixel_table": {**HOT, "rate_hz": [50.0, 2600.0]}}, "dead_time_us"),
     ({"hot_pixel_table": {"x_px": [3]}}, "hot_pixel_table"),
 ]
