@@ -448,7 +448,8 @@ def left_out_table(
                 for per_minute in PER_MINUTE:
                     at, key = _stated_at(models[one], per_minute), f"{per_minute:g}".replace(".", "_")
                     row[f"{kind}_{key}"] = float(false_per_minute(rows[motion], score)[at])
-                    row[f"{kind}_warned_{key}"] = float(_warned(some, score, at, WARNED_MS[0]).mean())
+                    warned = _warned(some, score, at, WARNED_MS[0])
+                    row[f"{kind}_warned_{key}"] = float(warned.mean()) if len(warned) else None
             shown.append(row)
     mean: Row = {"motion": "mean", "minutes": sum(row["minutes"] for row in shown)}
     mean["slips"] = sum(row["slips"] for row in shown)
@@ -458,7 +459,9 @@ def left_out_table(
     for per_minute in PER_MINUTE:
         key = f"{per_minute:g}".replace(".", "_")
         for kind in ("with", "without"):
-            columns[f"trained {kind} it, {per_minute:g} stated"] = f"{{{kind}_{key}:.2f}} / {{{kind}_warned_{key}:.2f}}"
+            columns[f"{per_minute:g} stated, trained {kind} it"] = f"{{{kind}_{key}:.2f}}"
+    for kind in ("with", "without"):
+        columns[f"warned, {AT_ONE:g} stated, trained {kind} it"] = f"{{{kind}_warned_{AT_ONE:g}:.2f}}"
     groups = "; ".join(", ".join(motions_left) for motions_left in left_out.values())
     note = (
         f"False alarms per minute, and share of slips warned of {WARNED_MS[0]} ms ahead, where this many are stated."
