@@ -77,7 +77,7 @@ DOCUMENTED: dict[tuple[str, str], Callable[[], str]] = {
         f"{train.USUAL.max_steps}, {train.USUAL_MEMORY.max_steps} for load-path, or {train.ADAPT_STEPS} with --adapt"
     ),
     ("train", "false_alarms_per_min"): lambda: (
-        f"{FALSE_ALARMS_PER_MIN:g}; with preset paper, or with less than {LEAST_MINUTES:g}"
+        f"{FALSE_ALARMS_PER_MIN:g}; with preset paper, or less than {LEAST_MINUTES:g}"
         " minutes to count in, the paper's rule"
     ),
     ("train", "networks"): lambda: f"{train.USUAL.networks}, or as many as the model of --adapt",
