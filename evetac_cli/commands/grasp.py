@@ -40,7 +40,8 @@ class Grasp(Devices, Trials):
     )
     false_alarms_per_min: float | None = parameter(
         None,
-        "Use the lowest threshold with at most this many false alarms per minute, as counted during training.",
+        "Use the lowest threshold with, at 95 % confidence for what was counted in training, at most this many false"
+        " alarms per minute.",
         unit="1/min",
         low=0.0,
         high=300.0,

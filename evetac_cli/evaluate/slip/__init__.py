@@ -121,8 +121,8 @@ class EvaluateSlip:
     threshold: float | None = parameter(None, "Use this threshold instead of each model's own.", low=0.0, high=1.0)
     false_alarms_per_min: float | None = parameter(
         None,
-        "Use each model's lowest threshold with at most this many false alarms per minute, as counted during its"
-        " training.",
+        "Use each model's lowest threshold with, at 95 % confidence for what was counted in its training, at most this"
+        " many false alarms per minute.",
         unit="1/min",
         low=0.0,
         high=300.0,

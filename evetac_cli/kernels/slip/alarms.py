@@ -152,7 +152,7 @@ class WarningCurve(NamedTuple):
 
         ValueError if no slice is known to be free of slip.
         """
-        from scipy.special import gammaincinv  # here, because a grasp has no use for it
+        from scipy.special import gammaincinv  # here, because it takes a while to load
 
         if not self.minutes:
             raise ValueError("expected slices without slip, at least 200 ms from any slip, found none")

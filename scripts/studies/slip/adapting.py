@@ -12,18 +12,18 @@ and evaluates it on the trials of the same sensor in JUDGED, which `judge.py see
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from evetac_cli.arrays import Floats, Singles
 from evetac_cli.jobs import Row
-from evetac_cli.kernels.slip import alarms, memory_networks, memory_training
+from evetac_cli.kernels.slip import alarms, memory_training, onnx_graphs
 from evetac_cli.kernels.slip.architectures import LOAD_PATH, MemoryArchitecture, with_scaled_logit
+from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.kernels.slip.inputs import Trajectory
-from evetac_cli.kernels.slip.load_path import EVERY, LoadPath
+from evetac_cli.kernels.slip.load_path import LoadPath
 from evetac_cli.kernels.slip.metrics import Prediction
 from evetac_cli.kernels.slip.training import ADAPT_MEMORY
 from evetac_cli.resources import MODEL
@@ -44,7 +44,7 @@ MINUTE = ("pushes", "grip", "opening", "handling", "pushes", "light touch", "ope
 SLIPS = ("slip-speeds",) * 10
 PER_MIN_COMPARED = (4.0, 8.0, 16.0)  # a minute has too few alarms at lower rates
 OF_DOTS = slice(0, LOAD_PATH.index("gripper_known"))
-HORIZON_MS = 10
+ARCHITECTURE, HORIZON_MS = MemoryArchitecture("load-path"), 10
 Weights = dict[str, Singles]
 
 
@@ -62,23 +62,15 @@ def see(folder: Path) -> None:
 
 
 def _trials(folder: Path, sensor: str, numbers: Sequence[int]) -> list[SeenTrial]:
-    every = [one for n in numbers for one in trials_in(folder / sensor / f"{n:02d}", (MINUTE + SLIPS)[n])]
-    return [one for one in every if one.trial is not None]
+    return [one for n in numbers for one in trials_in(folder / sensor / f"{n:02d}", (MINUTE + SLIPS)[n])]
 
 
 def _path(one: SeenTrial) -> LoadPath:
     return one.views[DOTS[0]].path
 
 
-def score(weights: Weights, path: LoadPath) -> Singles:
-    """Return the probability of every slice by a network with these weights."""
-    networks = memory_networks.pack(weights)
-    steps = np.empty(len(path.numbers), np.float32)
-    memory_networks.predict_steps(np.ascontiguousarray(path.numbers), path.touches, networks, networks.memory, steps)
-    every = np.full(path.slices, np.nan, np.float32)
-    held = np.repeat(steps, EVERY)[: path.slices - (EVERY - 1)]
-    every[EVERY - 1 : EVERY - 1 + len(held)] = held
-    return every
+def _detector(weights: Weights) -> Detector:
+    return Detector(onnx_graphs.build(ARCHITECTURE, weights), ARCHITECTURE)
 
 
 def _trajectory(one: SeenTrial, *, last_ms: int = 60) -> Trajectory:
@@ -92,12 +84,12 @@ def _trajectory(one: SeenTrial, *, last_ms: int = 60) -> Trajectory:
     return Trajectory(_path(one), np.zeros(len(label), np.int32), label, begins)
 
 
-def _curve(weights: Weights, quiet: Sequence[SeenTrial]) -> alarms.WarningCurve:
-    """Return the alarms of trials in which nothing slips; those of simulated ones with a slip end before it."""
+def _curve(detector: Detector, quiet: Sequence[SeenTrial]) -> alarms.WarningCurve:
+    """Return the alarms of trials in which nothing slips; one that ends with a slip counts until 200 ms before it."""
     predictions = []
     for one in quiet:
         known = _trajectory(one)
-        predictions.append(Prediction(score(weights, _path(one)), known.label, known.onset))
+        predictions.append(Prediction(detector.over(known.series), known.label, known.onset))
     return alarms.warning_curve(predictions)
 
 
@@ -116,24 +108,25 @@ def _numbers(quiet: Sequence[SeenTrial]) -> Floats:
     return mean
 
 
-def adapted(weights: Weights, folder: Path, sensor: str) -> dict[str, Weights]:
-    """Return the weights of each method for a sensor."""
+def adapted(weights: Weights, folder: Path, sensor: str) -> dict[str, Detector]:
+    """Return the detector of each method for a sensor."""
     minute, ten = range(len(MINUTE)), range(len(MINUTE), len(MINUTE + SLIPS))
     quiet = _trials(folder, sensor, minute)
     others = [one for other in SENSORS if other != sensor for one in _trials(folder, other, minute)]
-    too_high = float(np.mean(_log_odds_at(_curve(weights, quiet)) - _log_odds_at(_curve(weights, others))))
+    pretrained = _detector(weights)
+    too_high = float(np.mean(_log_odds_at(_curve(pretrained, quiet)) - _log_odds_at(_curve(pretrained, others))))
     moved = dict(weights)
     moved["input_offset"] = weights["input_offset"].copy()
     moved["input_offset"][OF_DOTS] += (_numbers(quiet) - _numbers(others)).astype(np.float32)
     slips = [_trajectory(one) for one in [*_trials(folder, sensor, ten), *quiet]]
-    samples = memory_training.gather(slips, MemoryArchitecture("load-path"), HORIZON_MS)
+    samples = memory_training.gather(slips, ARCHITECTURE, HORIZON_MS)
     rng = np.random.default_rng(FIRST_SEED)
     trained = memory_training.train(samples, ADAPT_MEMORY, rng, max_steps=ADAPT_STEPS, start=weights)
     return {
-        "pretrained": weights,
-        "threshold by a minute without slip": with_scaled_logit(weights, "last", 1.0, -too_high),
-        "inputs by a minute without slip": moved,
-        "ten labelled slips and the minute": trained.checkpoints[-1].weights,
+        "pretrained": pretrained,
+        "threshold by a minute without slip": _detector(with_scaled_logit(weights, "last", 1.0, -too_high)),
+        "inputs by a minute without slip": _detector(moved),
+        "ten labelled slips and the minute": _detector(trained.checkpoints[-1].weights),
     }
 
 
@@ -146,11 +139,11 @@ def judge(folder: Path, judged: Path, out: Path) -> None:
     rows: Rows = {}
     for motion in motions.MOTIONS:
         for one in trials_in(judged, motion):
-            if one.row["sensor"] == EVETAC or one.trial is None:
+            if one.row["sensor"] == EVETAC:
                 continue
-            scores = {
-                name: (score(every, _path(one)), HORIZON_MS) for name, every in of_sensor[one.row["sensor"]].items()
-            }
+            assert one.trial is not None
+            detectors = of_sensor[one.row["sensor"]]
+            scores = {name: (detector.over(_path(one)), HORIZON_MS) for name, detector in detectors.items()}
             rows.setdefault(motion, []).append(one.row | slip_trials.judged(motion, one.trial, scores))
     write(out, _table(rows, curve, f"python scripts/studies/slip/adapting.py judge {folder.name} {judged.name}"))
 
@@ -166,8 +159,10 @@ def _table(rows: Rows, curve: alarms.WarningCurve, command: str) -> Row:
             key = slip_tables.warned_key(WARNED_MS[0], per_minute)
             row |= {key: mean.value, f"{key}_low": mean.low, f"{key}_high": mean.high}
         row["stated"] = float(slip_tables.mean_false(rows, name)[at])
-        of_sensors = [_per_minute(rows, name, at, sensor) for sensor in SENSORS]
-        row |= {"least": min(of_sensors), "most": max(of_sensors)}
+        every = [one for of in rows.values() for one in of]
+        of_sensors = [[one for one in every if one["sensor"] == sensor] for sensor in SENSORS]
+        false = [float(slip_tables.false_per_minute(some, name)[at]) for some in of_sensors]
+        row |= {"least": min(false), "most": max(false)}
         shown.append(row)
     columns = {"adapted by": "{method}", "sensors": "{sensors}", "slips": "{slips}"}
     for per_minute in PER_MINUTE:
@@ -183,12 +178,6 @@ def _table(rows: Rows, curve: alarms.WarningCurve, command: str) -> Row:
     )
     title = "Adapting the slip detector to a sensor"
     return table_of("slip-adapted", title, columns, shown, command, slip_tables.sizes_of(rows), notes=(note,))
-
-
-def _per_minute(rows: Rows, name: str, at: int, sensor: str) -> float:
-    every: Iterator[Any] = (row for of in rows.values() for row in of if row["sensor"] == sensor)
-    counted = [(row["scores"][name]["false"][at], row["minutes"]) for row in every]
-    return float(sum(false for false, _ in counted) / sum(minutes for _, minutes in counted))
 
 
 def main() -> None:

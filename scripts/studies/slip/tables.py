@@ -292,9 +292,14 @@ def groups_of(rows: Rows, named: Mapping[str, Sequence[str]]) -> dict[str, list[
 MEANS = f"less than {MUCH_SLIPS:.0%} of the visible contact slips from {BEFORE_MS} ms before it to {AFTER_MS} ms after"
 
 
+def rate_key(per_minute: float) -> str:
+    """Return a rate as part of a column's name; str.format takes a point in it for an attribute."""
+    return f"{per_minute:g}".replace(".", "_")
+
+
 def warned_key(ms: int, per_minute: float) -> str:
-    """Return the name of a column: a name for str.format, which takes a point for an attribute."""
-    return f"warned_{ms}_ms_at_{per_minute:g}".replace(".", "_")
+    """Return the name of a column of slips warned of."""
+    return f"warned_{ms}_ms_at_{rate_key(per_minute)}"
 
 
 def warning_table(name: str, rows: Rows, named: Mapping[str, Sequence[str]], command: str) -> Row:
@@ -411,16 +416,17 @@ def sensors_table(name: str, rows: Rows, models: Mapping[str, Path], command: st
     for sensor in sensors:
         some = {motion: [row for row in of if row["sensor"] == sensor] for motion, of in rows.items()}
         every = [row for of in some.values() for row in of]
-        shown.append({"sensor": sensor, "minutes": sum(row["minutes"] for row in every)})
-        shown[-1]["slips"] = len(clusters_of(slip_rows(some), each_slip=True))
+        row: Row = {"sensor": sensor, "minutes": sum(one["minutes"] for one in every)}
+        row["slips"] = len(clusters_of(slip_rows(some), each_slip=True))
         for per_minute in PER_MINUTE:
-            at, key = _stated_at(path, per_minute), f"{per_minute:g}".replace(".", "_")
-            false = poisson_rate(sum(row["scores"][score]["false"][at] for row in every), shown[-1]["minutes"])
-            shown[-1] |= {f"at_{key}": false.value, f"low_{key}": false.low, f"high_{key}": false.high}
-            shown[-1][f"warned_{key}"] = float(_warned(some, score, at, WARNED_MS[0]).mean())
+            at, key = _stated_at(path, per_minute), rate_key(per_minute)
+            false = poisson_rate(sum(one["scores"][score]["false"][at] for one in every), row["minutes"])
+            row |= {f"at_{key}": false.value, f"low_{key}": false.low, f"high_{key}": false.high}
+            row[f"warned_{key}"] = float(_warned(some, score, at, WARNED_MS[0]).mean())
+        shown.append(row)
     columns = {"sensor": "{sensor}", "minutes of contact": "{minutes:.1f}", "slips": "{slips}"}
     for per_minute in PER_MINUTE:
-        key = f"{per_minute:g}".replace(".", "_")
+        key = rate_key(per_minute)
         columns[f"at {per_minute:g} stated"] = f"{{at_{key}:.2f}} ({{low_{key}:.2f}} to {{high_{key}:.2f}})"
         columns[f"warned {WARNED_MS[0]} ms ahead, at {per_minute:g} stated"] = f"{{warned_{key}:.2f}}"
     note = (
@@ -446,7 +452,7 @@ def left_out_table(
             for kind, one in (("with", usual), ("without", model)):
                 score = f"{one}, {DOTS[0]} dots"
                 for per_minute in PER_MINUTE:
-                    at, key = _stated_at(models[one], per_minute), f"{per_minute:g}".replace(".", "_")
+                    at, key = _stated_at(models[one], per_minute), rate_key(per_minute)
                     row[f"{kind}_{key}"] = float(false_per_minute(rows[motion], score)[at])
                     warned = _warned(some, score, at, WARNED_MS[0])
                     row[f"{kind}_warned_{key}"] = float(warned.mean()) if len(warned) else None
@@ -457,7 +463,7 @@ def left_out_table(
     shown.append(mean | {key: float(np.mean([row[key] for row in shown])) for key in rates})
     columns = {"motion": "{motion}", "minutes of contact": "{minutes:.1f}", "slips": "{slips}"}
     for per_minute in PER_MINUTE:
-        key = f"{per_minute:g}".replace(".", "_")
+        key = rate_key(per_minute)
         for kind in ("with", "without"):
             columns[f"{per_minute:g} stated, trained {kind} it"] = f"{{{kind}_{key}:.2f}}"
     for kind in ("with", "without"):
