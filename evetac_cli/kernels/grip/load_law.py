@@ -37,7 +37,7 @@ class Gear:
     pulse_ticks: float = 0.05  # distance that one push of one control step opens; corrected in use
     stride_ticks: float = 0.1  # distance that one push closes if the fingers are a tick or more behind; also corrected
     pause_s: float = 0.006  # wait after an opening push, so that the fingers come to rest
-    dry_pulses: int = 40  # opening pushes without a change of the encoder, after which the pushes become harder
+    dry_pulses: int = 40  # opening pushes that opened nothing, after which the next ones push harder
     dry_s: float = 0.04  # time of closing pushes without a change of the encoder, after which the pushes become harder
     last_tick: int = 740
 
@@ -51,8 +51,9 @@ class FingerState:
     pause_s: float = 0.0  # time until the next opening push
     noise_ticks: float = 0.0  # mean change of the encoder from step to step while nothing is pushed
     holds: bool = False  # the last step did not push
-    pulses: int = 0  # opening pushes since the encoder changed by more than its noise
-    open_more: int = 0  # additional ticks that opening pushes have shown to need
+    lowest: int = 0  # lowest encoder reading since the fingers began to open
+    pulses: int = 0  # opening pushes since that reading
+    open_more: int = 0  # ticks by which opening needs a harder push, and a weaker one in between, than usual
     dry_s: float = 0.0  # time of closing pushes since the encoder changed
     harder_ticks: float = 0.0  # additional ticks beyond the usual band that closing pushes have shown to need
 
@@ -62,7 +63,9 @@ def observe(state: FingerState, position_ticks: int) -> None:
     changed_ticks = abs(position_ticks - state.position)
     slack_ticks = 2.0 * state.noise_ticks
     if changed_ticks > 1.5 * slack_ticks:
-        state.pulses, state.dry_s = 0, 0.0
+        state.dry_s = 0.0
+    if position_ticks < state.lowest - 1.5 * slack_ticks:
+        state.lowest, state.pulses = position_ticks, 0
     if state.holds:
         state.noise_ticks += SLOW * (changed_ticks - state.noise_ticks)
     state.position = position_ticks
@@ -76,6 +79,9 @@ def push(state: FingerState, wanted_ticks: float, rest_ticks: float, dt_s: float
     """
     behind = wanted_ticks - state.place_ticks
     grip_push = gear.push_per_tick * max(state.place_ticks - rest_ticks, 0.0)  # push that balances the grip force
+    opens = behind < -gear.pulse_ticks - state.noise_ticks
+    if not opens:
+        state.lowest, state.pulses = state.position, 0
     state.pause_s -= dt_s
     state.holds = False
     if behind > CLOSE_ENOUGH_TICKS + state.noise_ticks:
@@ -86,7 +92,6 @@ def push(state: FingerState, wanted_ticks: float, rest_ticks: float, dt_s: float
         harder = gear.band_ticks + gear.surplus_ticks + state.harder_ticks
         state.place_ticks = min(state.place_ticks + min(behind, 1.0) * gear.stride_ticks, state.position + 1.0)
         return round(min(grip_push + harder + gear.speed * behind, gear.most_push + state.harder_ticks))
-    opens = behind < -gear.pulse_ticks - state.noise_ticks
     if opens and state.pause_s <= 0.0:
         state.pause_s = gear.pause_s
         state.place_ticks -= gear.pulse_ticks
@@ -96,8 +101,8 @@ def push(state: FingerState, wanted_ticks: float, rest_ticks: float, dt_s: float
         least = math.ceil(gear.band_ticks - grip_push + gear.surplus_ticks)
         return -min(max(least, 1) + state.open_more, int(gear.most_push))
     state.holds = True
-    if opens:  # lower, so that noise of the encoder does not close the fingers again
-        grip_push -= 0.5 * gear.band_ticks
+    if opens:  # lower, so that neither noise of the encoder nor a soft gel closes the fingers again
+        grip_push -= 0.5 * gear.band_ticks + state.open_more
     return round(min(grip_push, gear.most_push))
 
 
@@ -137,8 +142,8 @@ class LoadLaw:
     margin: float = MARGIN
     approach: float = 2.0  # light contact: lead of the goal over the fingers, as in the paper's law
     approach_dry_s: float = 0.15  # push harder if the encoder has not moved for this long since the start (stiff gear)
-    light_ticks: float = 2.5  # closing beyond first touch when light contact ends
-    unfelt_ticks: float = 7.0  # ... if no contact was felt until its end: a gear with little friction kept closing
+    light_ticks: float = 4.0  # closing beyond first touch when light contact ends
+    unfelt_ticks: float = 5.5  # ... if no contact was felt until its end: a gear with little friction kept closing
     turn: float = 2.5  # px of load per px of turn: about the spread of the dots over the lever arm of the friction
     least_px: float = 0.35  # smaller loads count as none: gripping alone moves the dots by this much
     small_px: float = 1.0  # an object carried below this load goes back to the lift if the load rises above it

@@ -289,6 +289,22 @@ def test_light_contact_that_was_not_felt_has_closed_further() -> None:
     assert rests == [LAW.light_ticks, LAW.unfelt_ticks]
 
 
+@pytest.mark.parametrize("band_ticks", [1.0, 1.94, 3.3])
+@pytest.mark.parametrize("balance_share", [0.25, 0.5, 1.0, 1.2])
+def test_fingers_open_to_where_they_should_on_soft_and_stiff_gels(balance_share: float, band_ticks: float) -> None:
+    """Assert that opening ends at its goal, where a gel needs another push for balance than the law's, and a gear too.
+
+    A gel of a quarter of the stiffness was once closed further between two opening pushes than these opened.
+    """
+    gear, state, at_ticks = Gear(), FingerState(place_ticks=100.0, position=100), 100.0
+    for _ in range(5000):
+        observe(state, int(at_ticks))
+        lead = push(state, 30.0, 0.0, DT_S, gear)
+        free = lead - balance_share * gear.push_per_tick * at_ticks
+        at_ticks += 0.1 * math.copysign(max(abs(free) - band_ticks, 0.0), free)
+    assert at_ticks == pytest.approx(30.0, abs=1.0)
+
+
 def test_what_was_spare_is_not_let_go_untold() -> None:
     """Assert that the grip which was found to carry the object is all in the ratio, what was spare too."""
     world = World(2.0, 5.0)
