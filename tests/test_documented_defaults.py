@@ -80,7 +80,6 @@ DOCUMENTED: dict[tuple[str, str], Callable[[], str]] = {
         f"{FALSE_ALARMS_PER_MIN:g}; with preset paper, or less than {LEAST_MINUTES:g}"
         " minutes to count in, the paper's rule"
     ),
-    ("train", "networks"): lambda: f"{train.USUAL.networks}, or as many as the model of --adapt",
     ("train", "validate"): lambda: f"every {train.VALIDATE_EVERY}th input",
     ("grasp", "model"): lambda: f"`shipped`, the pretrained {_shipped()}",
     ("grasp", "slip_threshold"): lambda: "the model's own",

@@ -66,15 +66,6 @@ class Train:
     device: str = parameter(
         "cpu", "Device that computes the training; the numbers depend on it.", choices=("cpu", "cuda"), panel=EXPERTS
     )
-    networks: int | None = parameter(
-        None,
-        "Train an ensemble of this many networks from different first weights; the mean of their logits decides. An"
-        " ensemble is more reliable on unseen objects and sensors; its cost grows with its size. Default: 1, or as many"
-        " as the model of --adapt.",
-        low=1,
-        high=32,
-        panel=EXPERTS,
-    )
     objects: str = parameter(
         "", "Train only on features of these objects, e.g. `1-9` or `1-3,8`.", recipe=False, flag="--object"
     )

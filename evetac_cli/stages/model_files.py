@@ -84,7 +84,7 @@ def chosen_threshold(
 
 
 def read_weights(model: StageFile) -> dict[str, NDArray[np.float32]]:
-    """Return the weights by their names in the detector; for several networks, names begin with a number."""
+    """Return the weights by their names in the network."""
     names = [name for name in model.contents() if name.startswith("weights/")]
     return {name.removeprefix("weights/"): model.read(name) for name in names}
 

@@ -34,7 +34,6 @@ class Source:
     detectors: tuple[str, ...] = ()  # used in grasps
     grasp_s: tuple[float, ...] = ()  # durations of lifting and balancing with a detector
     training_recordings: int = 0
-    networks: int = 1  # in the ensemble of a detector, which averages them; the paper has one
 
     @classmethod
     def of(cls, headers: Iterable[Row]) -> "Source":
@@ -63,18 +62,18 @@ class Source:
             detectors=_texts(_detector(detectors[id_]["parameters"]) for id_ in used),
             grasp_s=tuple(second for pair in sorted(durations) for second in pair),
             training_recordings=len({row["recording"] for row in rows} - {None}),
-            networks=max((one["parameters"].get("networks", 1) for one in detectors.values()), default=1),
         )
 
     @property
     def detector(self) -> str:
-        """The detectors of grasps in words, with the number of networks if several are averaged."""
-        return " + ".join(self.detectors) + (f", {self.networks} networks" if self.networks > 1 else "")
+        """The detectors of grasps in words."""
+        return " + ".join(self.detectors)
 
     @classmethod
     def from_json(cls, stored: Row) -> "Source":
         """Restore a source that was stored as JSON from dataclasses.asdict."""
         entries: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in stored.items()}
+        entries.pop("networks", None)  # in tables of earlier versions
         return cls(**entries)
 
 

@@ -62,13 +62,12 @@ def _of(quantity: str) -> Callable[[Row], Key]:
 
 
 def _ours(row: Row, source: Source) -> Conditions:
-    several = f", {source.networks} networks" if source.networks > 1 else ""
-    several += f", {row['folds']} folds" if row.get("folds") else ""
+    folds = f", {row['folds']} folds" if row.get("folds") else ""
     dots = [] if "img" in row["model"] else [by("dots", source.trackers)]
     size = (row["trajectories"], row["seeds"], source.training_recordings)
     inputs = ", ".join([*dots, by("labels", source.labels)])
     truth = ", true slip share" if row.get("true_slip_share") else ""
-    return Conditions(f"{row['model']} by {row['preset']}{truth}{several}", scenes(source), size, inputs)
+    return Conditions(f"{row['model']} by {row['preset']}{truth}{folds}", scenes(source), size, inputs)
 
 
 def _of_model(key: Callable[[Row], Key], *more: str) -> PaperColumn:

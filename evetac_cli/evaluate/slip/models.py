@@ -89,7 +89,7 @@ class Model:
                 float(file.read("threshold")),
                 (rows, columns),
                 sum(int(np.prod(shape)) for name, shape in shapes.items() if not name.endswith(NOT_WEIGHTS)),
-                detector if detector.networks or detector.memory_networks else None,
+                detector if detector.dot_weights or detector.memory_weights else None,
             )
 
     def detector(self) -> Detector:

@@ -6,7 +6,7 @@ inputs, but must not import torch. This module only needs numpy.
 `Sensitivity` has the known properties of a sensor that make it respond differently from another to the same contact.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -257,37 +257,10 @@ def channels(architecture: Architecture) -> int:
     return architecture.input_shape[0]
 
 
-def joined(networks: Sequence[Mapping[str, Weights]]) -> dict[str, Weights]:
-    """Return the weights of a detector made of these networks; with several, names begin with the network's number.
-
-    The detector's logit is the mean of its networks' logits.
-    """
-    if len(networks) == 1:
-        return dict(networks[0])
-    return {f"{number}.{name}": array for number, each in enumerate(networks) for name, array in each.items()}
-
-
-def prefixes(names: Iterable[str]) -> list[str]:
-    """Return the prefixes of the weights' names, one per network; an empty one for a single network."""
-    numbers = {first for first, _, rest in (name.partition(".") for name in names) if first.isdigit() and rest}
-    return [f"{number}." for number in range(len(numbers))] if numbers else [""]
-
-
-def parted(weights: Mapping[str, Weights]) -> list[dict[str, Weights]]:
-    """Return the weights of each network of a detector, by their names in the network: the inverse of `joined`."""
-    return [
-        {name.removeprefix(prefix): array for name, array in weights.items() if name.startswith(prefix)}
-        for prefix in prefixes(weights)
-    ]
-
-
-def weight_shapes(
-    architecture: Architecture, rows: int, columns: int, networks: Sequence[str] = ("",)
-) -> dict[str, tuple[int, ...]]:
+def weight_shapes(architecture: Architecture, rows: int, columns: int) -> dict[str, tuple[int, ...]]:
     """Return the shape of every array of a detector's weights by its name.
 
-    The grid of dots matters only for a DotArchitecture and for plug-ins. networks: prefixes of the weights' names, as
-    from `prefixes`.
+    The grid of dots matters only for a DotArchitecture and for plug-ins.
     """
     layers: dict[str, tuple[int, ...]]
     wide = channels(architecture)
@@ -318,7 +291,7 @@ def weight_shapes(
     shapes: dict[str, tuple[int, ...]] = {"input_scale": (wide,), "input_offset": (wide,)}
     for name, shape in layers.items():
         shapes |= {f"{name}.weight": shape, f"{name}.bias": shape[:1]}
-    return {prefix + name: shape for prefix in networks for name, shape in shapes.items()}
+    return shapes
 
 
 _PAPER_POOLS = ((3, 3), (3, 3), (4, 4), (9, 7))
@@ -336,13 +309,10 @@ def last_layer(architecture: Architecture, rows: int, columns: int) -> str:
 
 
 def with_scaled_logit(weights: Mapping[str, Weights], layer: str, scale: float, offset: float) -> dict[str, Weights]:
-    """Return weights whose logit is scale * logit + offset of the original; layer: the last one of each network."""
-    changed = dict(weights)
-    for prefix in prefixes(weights):
-        weight, bias = f"{prefix}{layer}.weight", f"{prefix}{layer}.bias"
-        changed[weight] = (scale * weights[weight].astype(np.float64)).astype(np.float32)
-        changed[bias] = (scale * weights[bias].astype(np.float64) + offset).astype(np.float32)
-    return changed
+    """Return weights whose logit is scale * logit + offset of the original; layer: the last one."""
+    weight, bias = (weights[f"{layer}.{part}"].astype(np.float64) for part in ("weight", "bias"))
+    scaled = {f"{layer}.weight": scale * weight, f"{layer}.bias": scale * bias + offset}
+    return {**weights, **{name: array.astype(np.float32) for name, array in scaled.items()}}
 
 
 def _distance_and_events(recent: int, block: int = 1, means: int = 0) -> tuple[ChannelView, ChannelView]:

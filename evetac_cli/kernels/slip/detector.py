@@ -45,11 +45,10 @@ from evetac_cli.kernels.slip.architectures import (
     PluginArchitecture,
     PluginImageArchitecture,
     Sensitivity,
-    parted,
 )
 from evetac_cli.kernels.slip.features import EventImages, GelEvents
 from evetac_cli.kernels.slip.load_path import LoadPath
-from evetac_cli.kernels.slip.memory_networks import MemoryNetworks
+from evetac_cli.kernels.slip.memory_networks import MemoryWeights
 from evetac_cli.kernels.tracking import tracker
 
 _NAMES = ("fc1", "fc2", "conv1", "conv2", "fc3", "fc4", "fc5")  # layers in packing order
@@ -57,29 +56,24 @@ _SIDE = 3  # kernel size of the convolutions
 _ZERO = np.float32(0.0)
 
 
-class DotNetworks(NamedTuple):
-    """The packed networks of a detector: `weights` (networks, values), and their `sizes`.
+class DotWeights(NamedTuple):
+    """The weights of a network over dots, one after the other.
 
     sizes: rows and columns of dots, inputs of a dot, widths of fc1 and fc2.
     """
 
-    weights: NDArray[np.float32]
+    values: NDArray[np.float32]
     sizes: NDArray[np.int64]
 
 
-def pack_networks(
+def pack_dots(
     architecture: DotArchitecture, weights: Mapping[str, NDArray[np.float32]], rows: int, columns: int
-) -> DotNetworks:
+) -> DotWeights:
     """Pack the weights of a detector, with the names and shapes of `weight_shapes`."""
     sizes = [rows, columns, architecture.inputs_per_dot, architecture.fc1, architecture.fc2]
-    packed = [_packed(network, rows, columns) for network in parted(weights)]
-    return DotNetworks(np.stack(packed), np.array(sizes, np.int64))
-
-
-def _packed(network: Mapping[str, NDArray[np.float32]], rows: int, columns: int) -> NDArray[np.float32]:
-    pieces = [network["input_offset"], network["input_scale"]]
+    pieces = [weights["input_offset"], weights["input_scale"]]
     for name in _NAMES:
-        weight = network[f"{name}.weight"]
+        weight = weights[f"{name}.weight"]
         if name.startswith("conv"):  # (after, before, y, x) -> a row per position and input, in the order of _patches
             weight = weight.transpose(2, 3, 1, 0).reshape(-1, len(weight))
         elif name == "fc3":  # its inputs have the order (channel, y, x) in the network, and (y, x, channel) here
@@ -87,18 +81,18 @@ def _packed(network: Mapping[str, NDArray[np.float32]], rows: int, columns: int)
             weight = grid.transpose(2, 3, 1, 0).reshape(-1, len(weight))
         else:
             weight = weight.T
-        pieces += [weight.reshape(-1), network[f"{name}.bias"]]
-    return np.concatenate(pieces, dtype=np.float32)
+        pieces += [weight.reshape(-1), weights[f"{name}.bias"]]
+    return DotWeights(np.concatenate(pieces, dtype=np.float32), np.array(sizes, np.int64))
 
 
 @njit(cache=True)
 def predict_dots(
     inputs: NDArray[np.float32],
-    weights: NDArray[np.float32],
+    values: NDArray[np.float32],
     sizes: NDArray[np.int64],
     probability: NDArray[np.float32],
 ) -> None:
-    """Compute the slip probability (k,) of inputs (k, dots, inputs of a dot) from `inputs.at`; see `DotNetworks`."""
+    """Compute the slip probability (k,) of inputs (k, dots, inputs of a dot) from `inputs.at`; see `DotWeights`."""
     rows, columns, wide, fc1, fc2 = sizes[0], sizes[1], sizes[2], sizes[3], sizes[4]
     dots, down, across = rows * columns, rows // 2, (columns - 2) // 2
     # Workspace for all inputs; the borders of the padded grids stay 0.
@@ -114,25 +108,21 @@ def predict_dots(
     hidden4 = np.empty((1, FC4), np.float32)
     output = np.empty((1, 1), np.float32)
     for k in range(inputs.shape[0]):
-        logit = _ZERO
-        for network in range(weights.shape[0]):
-            values = weights[network]
-            _normalise(inputs[k], values[:wide], values[wide : 2 * wide], normalised)
-            end = _layer(normalised, values, 2 * wide, code1)
-            end = _layer(code1, values, end, grid[columns : columns + dots])
-            _patches(grid, columns, 2 * across, patches1)
-            end = _product(patches1, values, end, conv1)
-            _pool(conv1, 2 * across, pooled)
-            for row in range(1, down + 1):
-                _bias_and_relu(pooled[row * (across + 2) + 1 : (row + 1) * (across + 2) - 1], values[end - CONV1 : end])
-            _patches(pooled, across + 2, across, patches2)
-            end = _layer(patches2, values, end, conv2)
-            end = _layer(conv2.reshape(1, down * across * CONV2), values, end, hidden3)
-            end = _layer(hidden3, values, end, hidden4)
-            end = _product(hidden4, values, end, output)
-            logit += output[0, 0] + values[end - 1]
-        mean = np.float64(logit / np.float32(weights.shape[0]))
-        probability[k] = np.float32(1.0 / (1.0 + exp(-mean)))
+        _normalise(inputs[k], values[:wide], values[wide : 2 * wide], normalised)
+        end = _layer(normalised, values, 2 * wide, code1)
+        end = _layer(code1, values, end, grid[columns : columns + dots])
+        _patches(grid, columns, 2 * across, patches1)
+        end = _product(patches1, values, end, conv1)
+        _pool(conv1, 2 * across, pooled)
+        for row in range(1, down + 1):
+            _bias_and_relu(pooled[row * (across + 2) + 1 : (row + 1) * (across + 2) - 1], values[end - CONV1 : end])
+        _patches(pooled, across + 2, across, patches2)
+        end = _layer(patches2, values, end, conv2)
+        end = _layer(conv2.reshape(1, down * across * CONV2), values, end, hidden3)
+        end = _layer(hidden3, values, end, hidden4)
+        end = _product(hidden4, values, end, output)
+        logit = np.float64(output[0, 0] + values[end - 1])
+        probability[k] = np.float32(1.0 / (1.0 + exp(-logit)))
 
 
 @njit(cache=True)
@@ -215,36 +205,36 @@ class Detector:
         dot_shape: rows and columns of dots, which the graph of a network with memory does not have.
         """
         self.architecture, self.dot_shape = architecture, dot_shape
-        self.networks: DotNetworks | None = None  # for networks over dots
-        self.memory_networks: MemoryNetworks | None = None  # for networks with memory
+        self.dot_weights: DotWeights | None = None  # of a network over dots
+        self.memory_weights: MemoryWeights | None = None  # of a network with memory
         if isinstance(architecture, MemoryArchitecture):
-            self.memory_networks = memory_networks.pack(onnx_graphs.read_memory(graph, architecture))
+            self.memory_weights = memory_networks.pack(onnx_graphs.read_memory(graph, architecture))
         elif isinstance(architecture, DotArchitecture) and not isinstance(architecture, PluginArchitecture):
-            self.networks = pack_networks(architecture, *onnx_graphs.read(graph, architecture))
+            self.dot_weights = pack_dots(architecture, *onnx_graphs.read(graph, architecture))
         else:
             self._session = _session(graph)
 
     @property
     def needs_sticking(self) -> bool:
         """Whether it needs the sticking share, which also tells a network with memory of the contact."""
-        return self.memory_networks is not None
+        return self.memory_weights is not None
 
     def probability(self, batch: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the slip probability (k,) of inputs (k, ...) from `inputs.at`; ValueError for another shape.
 
         With memory, the inputs are the numbers (steps, LOAD_PATH) of one contact from its start.
         """
-        if self.memory_networks is not None:
+        if self.memory_weights is not None:
             if batch.shape[1:] != (len(LOAD_PATH),) or batch.dtype != np.float32:
                 raise ValueError(f"expected float32 (steps, {len(LOAD_PATH)}), found {batch.dtype} {batch.shape}")
             return self._over_steps(LoadPath(batch, np.ones(len(batch), np.bool_), len(batch) * load_path.EVERY))
-        if self.networks is not None:
-            rows, columns, wide = self.networks.sizes[:3].tolist()
+        if self.dot_weights is not None:
+            rows, columns, wide = self.dot_weights.sizes[:3].tolist()
             if batch.shape[1:] != (rows * columns, wide) or batch.dtype != np.float32:
                 wanted = f"float32 (k, {rows * columns}, {wide})"
                 raise ValueError(f"expected inputs {wanted}, found {batch.dtype} {batch.shape}")
             result = np.empty(len(batch), np.float32)
-            predict_dots(np.ascontiguousarray(batch), *self.networks, result)
+            predict_dots(np.ascontiguousarray(batch), *self.dot_weights, result)
             return result
         probability: NDArray[np.float32]
         try:
@@ -258,9 +248,10 @@ class Detector:
     @property
     def dots(self) -> int:
         """The number of dots that a network over dots is for."""
-        if self.memory_networks is not None:
+        if self.memory_weights is not None:
             return self.dot_shape[0] * self.dot_shape[1]
-        return int(self._session.get_inputs()[0].shape[1] if self.networks is None else self.networks.sizes[:2].prod())
+        dots = self._session.get_inputs()[0].shape[1] if self.dot_weights is None else self.dot_weights.sizes[:2].prod()
+        return int(dots)
 
     def over(self, series: inputs.Series, first: int = 0) -> NDArray[np.float32]:
         """Return the slip probability of every slice of a trajectory.
@@ -274,12 +265,11 @@ class Detector:
 
     def _over_steps(self, path: LoadPath) -> NDArray[np.float32]:
         """Return the slip probability after each step, (steps,)."""
-        assert self.memory_networks is not None
+        weights = self.memory_weights
+        assert weights is not None
         probability = np.empty(len(path.numbers), np.float32)
         numbers = np.ascontiguousarray(path.numbers)
-        memory_networks.predict_steps(
-            numbers, path.touches, self.memory_networks, self.memory_networks.memory, probability
-        )
+        memory_networks.predict_steps(numbers, path.touches, weights, weights.memory, probability)
         return probability
 
     def _over_path(self, path: LoadPath) -> NDArray[np.float32]:
@@ -365,22 +355,22 @@ class LiveDetector:
         self.tracking = tracking
         self._window_px = window_px
         self._probability = float("nan")
-        architecture, networks = detector.architecture, detector.networks
+        architecture, weights = detector.architecture, detector.dot_weights
         self._path: load_path.LoadPathState | None = None  # of a network with memory
         seen = np.arange(len(tracking.rest_xy_px)) if seen_dots is None else np.flatnonzero(seen_dots)
         if isinstance(architecture, DotArchitecture | MemoryArchitecture) and len(seen) != detector.dots:
             raise ValueError(f"expected {detector.dots} dots for the network, found {len(seen)}")
-        if detector.memory_networks is not None:
-            self._start_path(detector.memory_networks, seen, sensor)
+        if detector.memory_weights is not None:
+            self._start_path(detector.memory_weights, seen, sensor)
         elif isinstance(architecture, DotArchitecture):
             dots = features.start(tracking.rest_xy_px[seen], architecture.history)
             self._seen, self._features = seen, dots
-            if networks is not None:
+            if weights is not None:
                 batch = np.zeros((1, len(seen), architecture.inputs_per_dot), np.float32)
                 # All arguments of the compiled call, in its order, created once.
                 self._dots = (
                     *(dots.record, seen, architecture.every, inputs.view_table(architecture.views)),
-                    *(batch, *networks, np.full(1, np.nan, np.float32)),
+                    *(batch, *weights, np.full(1, np.nan, np.float32)),
                 )
                 _compile(_predict_slice, tracking, self._dots)
         self._slices = 0  # number so far, for images and for dots of plug-ins
@@ -388,13 +378,13 @@ class LiveDetector:
         self._images: deque[tuple[NDArray[Any], ...]] = deque(maxlen=architecture.history)  # columns of each slice
         self._blank = np.zeros(GEL_PX[::-1], np.int8)
 
-    def _start_path(self, networks: MemoryNetworks, seen: NDArray[np.int64], sensor: Sensitivity) -> None:
+    def _start_path(self, weights: MemoryWeights, seen: NDArray[np.int64], sensor: Sensitivity) -> None:
         """Start the numbers and the memory of a network with memory."""
         path = load_path.start(self.detector.dot_shape, sensor, self.tracking.record["frame_px"][0])
         rest = self.tracking.rest_xy_px[seen]
         # All arguments of the compiled call, in its order, created once.
         self._path = path
-        self._steps = path.record, seen, rest, networks, networks.memory, np.full(1, np.nan, np.float32)
+        self._steps = path.record, seen, rest, weights, weights.memory, np.full(1, np.nan, np.float32)
         _compile(_predict_step_of_slice, self.tracking, self._steps)
 
     def tell(
@@ -435,7 +425,7 @@ class LiveDetector:
             p = tracker.checked_polarities(self.tracking, x, y, p)
             self._probability = _predict_step_of_slice(self.tracking.record, x, y, p, *self._steps)
             return self._probability
-        if self.detector.networks is not None:
+        if self.detector.dot_weights is not None:
             p = tracker.checked_polarities(self.tracking, x, y, p)
             self._probability = _predict_slice(self.tracking.record, x, y, p, *self._dots)
             return self._probability
@@ -486,7 +476,7 @@ def _predict_slice(
     every: int,
     views: NDArray[np.int64],
     batch: NDArray[np.float32],
-    weights: NDArray[np.float32],
+    values: NDArray[np.float32],
     sizes: NDArray[np.int64],
     probability: NDArray[np.float32],
 ) -> float:
@@ -506,7 +496,7 @@ def _predict_slice(
     if since_full >= 0 and since_full % every == 0:
         ends = np.array([dots[0]["history"] - 1])
         inputs.fill(features.latest_slices(dots), ends, views, batch)
-        predict_dots(batch, weights, sizes, probability)
+        predict_dots(batch, values, sizes, probability)
     return float(probability[0])
 
 
@@ -519,7 +509,7 @@ def _predict_step_of_slice(
     path: NDArray[np.void],
     seen: NDArray[np.int64],
     rest_xy_px: NDArray[np.float64],
-    networks: MemoryNetworks,
+    weights: MemoryWeights,
     memory: NDArray[np.float32],
     probability: NDArray[np.float32],
 ) -> float:
@@ -536,5 +526,5 @@ def _predict_step_of_slice(
         events[i] = all_events[seen[i]]
     if load_path.take_slice(path, moved_px, events):
         numbers, touches = path[0]["numbers"][:], path[0]["touches"] != 0
-        probability[0] = memory_networks.predict_touch(numbers, touches, networks, memory)
+        probability[0] = memory_networks.predict_touch(numbers, touches, weights, memory)
     return float(probability[0])

@@ -7,8 +7,6 @@ Reasons:
   takes the weights from the file, writes evetac's graph for them, and rejects the file if its graph differs. A checked
   graph thus has no operator, attribute, constant, name or external file that this module does not write, and every size
   is bounded.
-- A detector may consist of several networks that were trained separately. Its logit is the mean of theirs, and the
-  names of their weights begin with their number, for example `1.fc1.weight`.
 - The module does not need torch, because `grasp`, `evaluate` and `validate` check graphs and must not wait for its
   import.
 """
@@ -29,9 +27,9 @@ from evetac_cli.kernels.slip.architectures import (
     DotArchitecture,
     ImageArchitecture,
     MemoryArchitecture,
+    OverImages,
     PluginLayers,
     channels,
-    prefixes,
     weight_shapes,
 )
 from evetac_cli.kernels.slip.memory_networks import MOST_INPUT
@@ -112,7 +110,7 @@ def _weights_inside(model: Any, architecture: Architecture, rows: int, columns: 
     """Return the weights of a graph in the shapes of the architecture; a missing normalisation is the identity."""
     stored = {tensor.name: tensor for tensor in model.graph.initializer}
     arrays = {}
-    for name, shape in weight_shapes(architecture, rows, columns, prefixes(stored)).items():
+    for name, shape in weight_shapes(architecture, rows, columns).items():
         tensor = stored.get(name)
         if tensor is None and name.endswith(("input_offset", "input_scale")):
             arrays[name] = np.full(shape, float(name.endswith("input_scale")), np.float32)
@@ -126,28 +124,22 @@ def _weights_inside(model: Any, architecture: Architecture, rows: int, columns: 
 
 def _model(architecture: Architecture, weights: Mapping[str, NDArray[np.float32]], rows: int, columns: int) -> Any:
     graph = GraphWriter(weights)
-    logits = []
-    for prefix in prefixes(weights):
-        graph.prefix = prefix
-        if isinstance(architecture, DotArchitecture):
-            shape = [rows * columns, architecture.inputs_per_dot]
-            value = graph.normalised("features", [-1])
-        elif isinstance(architecture, MemoryArchitecture):
-            shape = [channels(architecture)]
-            value = graph.normalised("features", [-1])
-        else:
-            shape = list(architecture.input_shape)
-            value = graph.normalised("features", [-1, 1, 1])
-        if isinstance(architecture, PluginLayers):
-            logits.append(architecture.add_layers(graph, value, rows, columns))
-        elif isinstance(architecture, DotArchitecture):
-            logits.append(_dot_layers(graph, architecture, rows, columns, value))
-        elif isinstance(architecture, MemoryArchitecture):
-            logits.append(_memory_layers(graph, architecture, value))
-        else:
-            logits.append(_image_layers(graph, architecture, value))
-    value = graph.add("Sigmoid", logits[0] if len(logits) == 1 else graph.add("Mean", *logits))
-    graph.add("Reshape", value, graph.constant("per_batch", [-1]), output="probability")
+    if isinstance(architecture, DotArchitecture):
+        shape = [rows * columns, architecture.inputs_per_dot]
+    elif isinstance(architecture, MemoryArchitecture):
+        shape = [channels(architecture)]
+    else:
+        shape = list(architecture.input_shape)
+    value = graph.normalised("features", [-1, 1, 1] if isinstance(architecture, OverImages) else [-1])
+    if isinstance(architecture, PluginLayers):
+        value = architecture.add_layers(graph, value, rows, columns)
+    elif isinstance(architecture, DotArchitecture):
+        value = _dot_layers(graph, architecture, rows, columns, value)
+    elif isinstance(architecture, MemoryArchitecture):
+        value = _memory_layers(graph, architecture, value)
+    else:
+        value = _image_layers(graph, architecture, value)
+    graph.add("Reshape", graph.add("Sigmoid", value), graph.constant("per_batch", [-1]), output="probability")
     content = helper.make_graph(
         graph.nodes,
         architecture.name,
@@ -207,7 +199,6 @@ class GraphWriter:
         self.nodes: list[Any] = []
         self.arrays: dict[str, NDArray[Any]] = dict(arrays)
         self.used: list[str] = []
-        self.prefix = ""  # of the weights' names of the network that is being added
 
     def add(self, operator: str, value: str, *more: str, output: str = "", **attributes: Any) -> str:
         """Add a node with these inputs and attributes; return the name of its output."""
@@ -221,7 +212,7 @@ class GraphWriter:
 
     def weights(self, name: str) -> tuple[str, str]:
         """Return the names of weight and bias of a layer, to use as inputs of nodes."""
-        weight, bias = f"{self.prefix}{name}.weight", f"{self.prefix}{name}.bias"
+        weight, bias = f"{name}.weight", f"{name}.bias"
         self.used += [weight, bias]
         return weight, bias
 
@@ -234,7 +225,7 @@ class GraphWriter:
 
     def constant(self, name: str, values: list[int]) -> str:
         """Add an integer constant, such as a shape, and return its name; one name must always have the same values."""
-        if name not in self.used:  # all networks of a detector share it
+        if name not in self.used:
             self.arrays[name] = np.array(values, np.int64)
             self.used.append(name)
         return name
@@ -244,10 +235,9 @@ class GraphWriter:
 
         They are not folded into the first layer, because a channel that hardly varies would lose its precision there.
         """
-        offset, scale = f"{self.prefix}input_offset", f"{self.prefix}input_scale"
-        if np.all(self.arrays[offset] == 0) and np.all(self.arrays[scale] == 1):
+        if np.all(self.arrays["input_offset"] == 0) and np.all(self.arrays["input_scale"] == 1):
             return value
-        for name in (offset, scale):
+        for name in ("input_offset", "input_scale"):
             self.arrays[name] = self.arrays[name].reshape(shape)
             self.used.append(name)
-        return self.add("Mul", self.add("Sub", value, offset), scale)
+        return self.add("Mul", self.add("Sub", value, "input_offset"), "input_scale")

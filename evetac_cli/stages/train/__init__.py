@@ -32,7 +32,6 @@ from evetac_cli.kernels.slip.architectures import (
     MemoryArchitecture,
     PluginLayers,
     last_layer,
-    parted,
     with_scaled_logit,
 )
 from evetac_cli.resources import model_file
@@ -70,10 +69,9 @@ class Settings(NamedTuple):
     horizon_ms: int
     preset: str
     max_steps: int
-    networks: int  # trained separately; the detector uses the mean of their logits
 
 
-USUAL = Settings("hist10", 0, "paper", max_steps=40000, networks=1)
+USUAL = Settings("hist10", 0, "paper", max_steps=40000)
 USUAL_MEMORY = USUAL._replace(preset="memory", max_steps=2000)
 ADAPT_STEPS = 1000
 
@@ -123,8 +121,6 @@ def jobs(files: list[Path], params: Train, out: Path | None) -> list[TrainJob]:
 
 def parts(job: TrainJob, params: Train) -> list[NetworkJob]:
     """Return the networks of a model, which can be trained at the same time; none for a single network."""
-    settings, _ = _settings(params)
-    count = settings.networks * (params.folds + 1)
     return [
         NetworkJob(
             job.inputs,
@@ -135,7 +131,7 @@ def parts(job: TrainJob, params: Train) -> list[NetworkJob]:
             number,
             job.output,
         )
-        for number in range(count if count > 1 else 0)
+        for number in range(params.folds + 1 if params.folds else 0)
     ]
 
 
@@ -197,7 +193,7 @@ class TrainedModel(NamedTuple):
     path: Path
     header: Header
     dot_shape: tuple[int, int]
-    weights: list[dict[str, NDArray[np.float32]]]  # of each of its networks
+    weights: dict[str, NDArray[np.float32]]
 
 
 def _settings(params: Train) -> tuple[Settings, TrainedModel | None]:
@@ -211,7 +207,7 @@ def _settings(params: Train) -> tuple[Settings, TrainedModel | None]:
     else:
         usual, trained = _to_adapt(model_file(params.adapt, flag="--adapt"))
         fixed: dict[str, Any] = {"preset": None, "folds": 0}
-        fixed |= {name: getattr(usual, name) for name in ("model", "horizon_ms", "networks")}
+        fixed |= {name: getattr(usual, name) for name in ("model", "horizon_ms")}
         for name, value in fixed.items():
             if getattr(params, name) not in (value, None):
                 flag, expected = f"--{name.replace('_', '-')}", f"{value}, as in the model" if value else "left out"
@@ -225,12 +221,11 @@ def _to_adapt(path: Path) -> tuple[Settings, TrainedModel]:
     with StageFile(path, "model") as file:
         rows, columns = (int(size) for size in file.read("dot_shape"))
         architecture, horizon_ms = str(file.read("architecture")), int(file.read("horizon_ms"))
-        together = read_weights(file)
+        weights = read_weights(file)
         if (calibration := read_calibration(file)) is not None:  # the calibration was not learned from balanced batches
             layer = last_layer(named_architecture(architecture), rows, columns)
-            together = with_scaled_logit(together, layer, *calibration.inverse())
-        weights = parted(together)
-        settings = Settings(architecture, horizon_ms, "adapt", ADAPT_STEPS, len(weights))
+            weights = with_scaled_logit(weights, layer, *calibration.inverse())
+        settings = Settings(architecture, horizon_ms, "adapt", ADAPT_STEPS)
         return settings, TrainedModel(path, file.header, (rows, columns), weights)
 
 
@@ -332,7 +327,6 @@ def run(job: TrainJob, params: Train, *, force: bool = False, progress: Progress
         abstained=sum(each.abstains for each in inputs),
         validated_on=sum(len(fold.evaluated_on) for fold in folds),
         folds=params.folds,
-        networks=settings.networks,
         **trained.figures(),
         **validated.figures(),
         warning=_warning(job.output),
@@ -364,8 +358,8 @@ def _arrays(
 
     choice, layer = validated.choice, last_layer(architecture, *shape)
     calibrated = [
-        weights if each is None else with_scaled_logit(weights, layer, *each)
-        for weights, each in zip(trained.weights, validated.calibrations, strict=True)
+        checkpoint.weights if each is None else with_scaled_logit(checkpoint.weights, layer, *each)
+        for checkpoint, each in zip(trained.checkpoints, validated.calibrations, strict=True)
     ]
     graphs = [np.frombuffer(onnx_graphs.build(architecture, weights, *shape), np.uint8) for weights in calibrated]
     return {
@@ -377,9 +371,9 @@ def _arrays(
         "threshold": np.float64(choice.threshold),
         "validation/detected_share": np.float64(choice.detected_share),
         "validation/slip_share": np.float64(choice.slip_share),
-        "curve/step": trained.networks[-1].curve_step,
-        "curve/loss": trained.loss,
-        "checkpoint/step": np.array(trained.steps, np.int64),
+        "curve/step": trained.network.curve_step,
+        "curve/loss": trained.network.curve_loss,
+        "checkpoint/step": np.array([checkpoint.step for checkpoint in trained.checkpoints], np.int64),
         "checkpoint/score": choice.scores,
         "checkpoint/threshold": choice.thresholds,
         "checkpoint/chosen": np.int64(choice.checkpoint),

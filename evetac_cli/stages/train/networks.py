@@ -7,7 +7,7 @@ another process finished are read from there.
 import time
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -19,7 +19,7 @@ from evetac_cli import plugins
 from evetac_cli.errors import InputError
 from evetac_cli.jobs import Progress
 from evetac_cli.kernels.slip import sampling
-from evetac_cli.kernels.slip.architectures import Architecture, MemoryArchitecture, joined, parted
+from evetac_cli.kernels.slip.architectures import Architecture, MemoryArchitecture
 from evetac_cli.kernels.slip.inputs import Trajectory
 from evetac_cli.kernels.slip.metrics import LAST_CHECKPOINTS, Prediction
 from evetac_cli.kernels.slip.sampling import PoolSizes, SampleGroups, SlipSamples, TrajectorySize, drawn_groups
@@ -31,8 +31,7 @@ from evetac_cli.store.layout.provenance import Header, Recipe
 from evetac_cli.store.layout.rules import named_architecture
 
 if TYPE_CHECKING:  # torch takes more than a second to import
-    from evetac_cli.kernels.slip.memory_training import MemorySamples
-    from evetac_cli.kernels.slip.training import Preset, SlipTraining, TrainingState
+    from evetac_cli.kernels.slip.training import Checkpoint, Preset, SlipTraining, TrainingState
 
 Weights = dict[str, NDArray[np.float32]]
 COMPARED = 64  # inputs of a file on which the two forms of a plug-in's network are compared
@@ -43,34 +42,29 @@ SAVE_S = 30.0  # interval of saving: the most work lost when a run is interrupte
 
 
 class TrainedFolds(NamedTuple):
-    """Networks that were trained, and their predictions for the trajectories that their folds leave out.
+    """The trained network of the last fold, which is the detector, and what was predicted for the folds' trajectories.
 
-    networks: those of the last fold, which make up the detector. steps, weights: of its last checkpoints, with all
-    networks joined. predictions: of these checkpoints, for the trajectories of all folds. resumed_at: the step of the
+    predictions: of the last checkpoints, for the trajectories that each fold leaves out. resumed_at: the step of the
     saved state from which the first network with one continued.
     """
 
-    networks: list["SlipTraining"]
-    steps: list[int]
-    weights: list[Weights]
+    network: "SlipTraining"
     predictions: list[list[Prediction]]
     resumed_at: int | None
 
     @property
-    def loss(self) -> NDArray[np.float64]:
-        """The loss of the networks in the course of the training, their mean."""
-        loss: NDArray[np.float64] = np.mean([each.curve_loss for each in self.networks], axis=0)
-        return loss
+    def checkpoints(self) -> list["Checkpoint"]:
+        """The last checkpoints of the detector."""
+        return self.network.checkpoints[-LAST_CHECKPOINTS:]
 
     def figures(self) -> dict[str, Any]:
         """Return the figures to print."""
-        last = self.networks[-1]
         return {
-            "steps": last.steps,
-            "steps_of_all_epochs": last.steps_planned,
-            "stopped_early": last.cut,
+            "steps": self.network.steps,
+            "steps_of_all_epochs": self.network.steps_planned,
+            "stopped_early": self.network.cut,
             "resumed_at_step": self.resumed_at,
-            "loss": float(self.loss[-1]),
+            "loss": float(self.network.curve_loss[-1]),
         }
 
 
@@ -85,7 +79,7 @@ def prepare_torch(device: str) -> None:
 
 @dataclass(eq=False)
 class Networks:
-    """All networks of a model, numbered: those of the first fold, of the second, and so on."""
+    """The networks of a model, one for each fold, numbered like these."""
 
     model: Path  # file of the model
     inputs: tuple[Path, ...]
@@ -93,15 +87,7 @@ class Networks:
     folds: Sequence[Fold]
     recipe: Recipe  # with all settings of the training
     shape: tuple[int, int]  # rows and columns of dots
-    start: Sequence[Weights] | None  # initial weights of each network of a fold
-    _gathered: dict[int, "SampleGroups | MemorySamples"] = field(
-        default_factory=dict, init=False
-    )  # of the last requested fold
-
-    @property
-    def count(self) -> int:
-        """Number of networks."""
-        return len(self.folds) * int(self.recipe.parameters["networks"])
+    start: Weights | None  # initial weights, of a model to adapt
 
     @property
     def preset(self) -> "Preset":
@@ -122,39 +108,35 @@ class Networks:
         return named_architecture(self.recipe.parameters["model"])
 
     def train_folds(self, headers: Sequence[Header], progress: Progress) -> TrainedFolds:
-        """Train all networks; let those of each fold predict what the fold leaves out. headers: of all inputs."""
+        """Train all networks; let each predict what its fold leaves out. headers: of all inputs."""
         folds = [self._train_fold(number, headers, progress) for number in range(len(self.folds))]
         predictions = [list(chain(*each)) for each in zip(*(fold.predictions for fold in folds), strict=True)]
         resumed_at = next((fold.resumed_at for fold in folds if fold.resumed_at is not None), None)
         return folds[-1]._replace(predictions=predictions, resumed_at=resumed_at)
 
-    def _train_fold(self, fold: int, headers: Sequence[Header], progress: Progress) -> TrainedFolds:
+    def _train_fold(self, number: int, headers: Sequence[Header], progress: Progress) -> TrainedFolds:
         from evetac_cli.kernels.slip import onnx_graphs
         from evetac_cli.kernels.slip.detector import Detector
 
-        count = int(self.recipe.parameters["networks"])
-        trained = [self.train(fold * count + member, progress) for member in range(count)]
-        networks = [network for network, _ in trained]
-        steps = [checkpoint.step for checkpoint in networks[-1].checkpoints[-LAST_CHECKPOINTS:]]
-        weights = [joined([each.checkpoints[back].weights for each in networks]) for back in range(-len(steps), 0)]
-        graphs = [onnx_graphs.build(self.architecture, each, *self.shape) for each in weights]
+        network, resumed_at = self.train(number, progress)
+        checkpoints = network.checkpoints[-LAST_CHECKPOINTS:]
+        graphs = [onnx_graphs.build(self.architecture, each.weights, *self.shape) for each in checkpoints]
         detectors = [Detector(graph, self.architecture) for graph in graphs]
-        left_out, horizon_ms = self.folds[fold].evaluated_on, self.recipe.parameters["horizon_ms"]
+        left_out, horizon_ms = self.folds[number].evaluated_on, self.recipe.parameters["horizon_ms"]
         predictions: list[list[Prediction]] = [[] for _ in detectors]
         for done, index in enumerate(left_out):
             progress(done, len(left_out), "files evaluated")
-            self._require_same_forms(weights[-1], self.inputs[index])
+            self._require_same_forms(checkpoints[-1].weights, self.inputs[index])
             trajectory = self._trajectory(index)
             judged = predict(detectors, trajectory, headers[index], horizon_ms)
             for of_detector, prediction in zip(predictions, judged, strict=True):
                 of_detector.append(prediction)
-        resumed_at = next((step for _, step in trained if step is not None), None)
-        return TrainedFolds(networks, steps, weights, predictions, resumed_at)
+        return TrainedFolds(network, predictions, resumed_at)
 
     def _require_same_forms(self, weights: Weights, path: Path) -> None:
         """Raise InputError if a plug-in's network computes another probability in torch than as an ONNX graph.
 
-        weights: of all networks of the detector. path: a file whose inputs are used to compare.
+        path: a file whose inputs are used to compare.
         """
         architecture = self.architecture
         plugin = plugins.by_name(plugins.NETWORKS, architecture.name)
@@ -168,11 +150,10 @@ class Networks:
             return
         ends = np.unique(np.linspace(architecture.history - 1, slices - 1, COMPARED).astype(np.int64))
         batch = inputs.at(architecture, series, ends)
-        for each in parted(weights):
-            difference = networks.difference_of_forms(architecture, each, *self.shape, batch)
-            if not difference <= FORMS_AGREE:
-                found = f"for inputs from {path}, torch and ONNX return probabilities up to {difference:.3g} apart"
-                raise plugin.error(f"{found}: its `hidden` and `add_layers` are not the same network")
+        difference = networks.difference_of_forms(architecture, weights, *self.shape, batch)
+        if not difference <= FORMS_AGREE:
+            found = f"for inputs from {path}, torch and ONNX return probabilities up to {difference:.3g} apart"
+            raise plugin.error(f"{found}: its `hidden` and `add_layers` are not the same network")
 
     def train(self, number: int, progress: Progress) -> tuple["SlipTraining", int | None]:
         """Train a network, or continue from its saved state; return the result and the step of that state.
@@ -183,9 +164,8 @@ class Networks:
         """
         from evetac_cli.kernels.slip import memory_training, training
 
-        parameters, place = self.recipe.parameters, plan.state_file(self.model, self.recipe, number, self.count)
-        start = None if self.start is None else self.start[number % parameters["networks"]]
-        preset = self.preset
+        parameters, preset, count = self.recipe.parameters, self.preset, len(self.folds)
+        place = plan.state_file(self.model, self.recipe, number, count)
         saved = _read(place, self.recipe)
         if saved is not None and (whole := training.ended(preset, saved)) is not None:
             return whole, None
@@ -198,35 +178,27 @@ class Networks:
                 written = time.monotonic()
 
         seed = parameters["seed"]
-        samples = self._samples_of(number // parameters["networks"], progress)
         # (0, 0) would be the same as 0, since numpy pads the words of a seed with zeros.
-        rng = np.random.default_rng(seed if number == self.count - 1 else (seed, number + 1))
+        rng = np.random.default_rng(seed if number == count - 1 else (seed, number + 1))
         lengths: dict[str, Any] = {name: parameters[name] for name in ("epochs", "max_steps")}
-        common: dict[str, Any] = lengths | {"device": parameters["device"], "start": start}
-        common["on_progress"] = lambda step, steps: progress(number * steps + step, self.count * steps)
-        if isinstance(samples, SampleGroups):
-            result = training.train(samples, preset, rng, **common, on_save=save, resume_from=saved)
+        common: dict[str, Any] = lengths | {"device": parameters["device"], "start": self.start}
+        common["on_progress"] = lambda step, steps: progress(number * steps + step, count * steps)
+        trained_on = self.folds[number].trained_on
+        if isinstance(self.architecture, MemoryArchitecture):
+            trajectories = self._trajectories(trained_on, progress)
+            contacts = memory_training.gather(trajectories, self.architecture, parameters["horizon_ms"])
+            result = memory_training.train(contacts, preset, rng, **common)
         else:
-            result = memory_training.train(samples, preset, rng, **common)
-        if self.count > 1:
+            groups = self._groups(trained_on, progress)
+            result = training.train(groups, preset, rng, **common, on_save=save, resume_from=saved)
+        if count > 1:
             _write(place, self.recipe, result.state)
         return result, None if saved is None else int(saved["step"])
 
     def remove_states(self) -> None:
         """Remove the saved states."""
-        for number in range(self.count):
-            plan.state_file(self.model, self.recipe, number, self.count).unlink(missing_ok=True)
-
-    def _samples_of(self, fold: int, progress: Progress) -> "SampleGroups | MemorySamples":
-        """Return the training samples of a fold."""
-        if fold not in self._gathered:
-            self._gathered.clear()
-            numbers = self.folds[fold].trained_on
-            if isinstance(self.architecture, MemoryArchitecture):
-                self._gathered[fold] = self._contacts(numbers, self.architecture, progress)
-            else:
-                self._gathered[fold] = self._groups(numbers, progress)
-        return self._gathered[fold]
+        for number in range(len(self.folds)):
+            plan.state_file(self.model, self.recipe, number, len(self.folds)).unlink(missing_ok=True)
 
     def _groups(self, numbers: Sequence[int], progress: Progress) -> SampleGroups:
         """Return the samples of these inputs: all together if memory allows, otherwise in groups drawn by the seed."""
@@ -249,15 +221,6 @@ class Networks:
         """Return the samples of these inputs."""
         horizon_ms = self.recipe.parameters["horizon_ms"]
         return sampling.gather(self._trajectories(numbers, progress), self.architecture, *self.shape, horizon_ms)
-
-    def _contacts(
-        self, numbers: Sequence[int], architecture: MemoryArchitecture, progress: Progress
-    ) -> "MemorySamples":
-        """Return the contacts of these inputs, for a network with memory."""
-        from evetac_cli.kernels.slip import memory_training
-
-        horizon_ms = self.recipe.parameters["horizon_ms"]
-        return memory_training.gather(self._trajectories(numbers, progress), architecture, horizon_ms)
 
     def _trajectories(self, numbers: Sequence[int], progress: Progress) -> Iterator[Trajectory]:
         for done, number in enumerate(numbers):

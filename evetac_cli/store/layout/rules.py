@@ -20,7 +20,6 @@ from evetac_cli.kernels.slip.architectures import (
     DotArchitecture,
     PluginLayers,
     PluginNetwork,
-    prefixes,
     weight_shapes,
 )
 from evetac_cli.store.recordings import streams
@@ -142,6 +141,12 @@ def _grid_of_features(file: Contents, shapes: Shapes) -> Iterator[Fault]:
 
 def _weights(file: Contents, shapes: Shapes) -> Iterator[Fault]:
     """Check that the weights are those of the architecture for this grid."""
+    stored = {
+        path.removeprefix("weights/"): shape for path, (_, shape) in shapes.items() if path.startswith("weights/")
+    }
+    if "0.input_scale" in stored:  # written by 0.2
+        yield "weights", "one network: train the model again", "an ensemble of networks, which is no longer read"
+        return
     name = file.read("architecture")
     try:
         architecture = named_architecture(name)
@@ -155,10 +160,7 @@ def _weights(file: Contents, shapes: Shapes) -> Iterator[Fault]:
     if isinstance(architecture, DotArchitecture) and (rows < LEAST_ROWS or columns < LEAST_COLUMNS):
         yield "dot_shape", f"at least {LEAST_ROWS} x {LEAST_COLUMNS} dots", f"{rows} x {columns}"
         return
-    stored = {
-        path.removeprefix("weights/"): shape for path, (_, shape) in shapes.items() if path.startswith("weights/")
-    }
-    wanted = weight_shapes(architecture, rows, columns, prefixes(stored))
+    wanted = weight_shapes(architecture, rows, columns)
     for layer in sorted(wanted.keys() | stored.keys()):
         if wanted.get(layer) != stored.get(layer):
             expected = (

@@ -188,7 +188,7 @@ def test_the_source_is_what_headers_tell() -> None:
     of = {"simulated": True, "method": 1, "seed": 0}
     history = {
         "m": {**of, "kind": "model", "parents": [],
-              "parameters": {"model": "fast-slow", "horizon_ms": 10, "preset": "paper", "networks": 4},
+              "parameters": {"model": "fast-slow", "horizon_ms": 10, "preset": "paper"},
               "trajectories": [{"recording": "r", "scene": "slip", "labels": "event-flow", "tracker": "stable"}]},
         "g": {**of, "kind": "recording", "parents": ["m"],
               "parameters": {"scene": {"name": "lift"}, "tracker": {"preset": "paper"}, "lift_s": 7, "balance_s": 5}},
@@ -199,12 +199,10 @@ def test_the_source_is_what_headers_tell() -> None:
     report = {**of, "id": "x", "kind": "report", "parents": ["g", "alone"], "parameters": {}, "history": history}
     source = Source.of([without_training_files(report)])
     detectors = ("fast-slow 10 ms ahead by paper",)
-    assert source == Source(
-        True, ("lift", "slip"), ("paper", "stable"), ("event-flow",), detectors, (7.0, 5.0), 1, networks=4
-    )
+    assert source == Source(True, ("lift", "slip"), ("paper", "stable"), ("event-flow",), detectors, (7.0, 5.0), 1)
     parts = [{**history[name], "id": name, "history": history} for name in ("g", "alone")]
     assert Source.of(map(without_training_files, parts)) == source
-    assert Source.from_json({**dataclasses.asdict(source), "scenes": ["lift", "slip"]}) == source
+    assert Source.from_json({**dataclasses.asdict(source), "scenes": ["lift", "slip"], "networks": 4}) == source
 
 
 # Nowhere else ---------------------------------------------------------------------------------------------------------

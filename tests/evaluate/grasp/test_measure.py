@@ -156,10 +156,10 @@ def test_a_setting_says_what_is_unusual(changes: dict, setting: str) -> None:
     assert "gain" not in without_gain(setting)
 
 
-def of_detector(preset: str, networks: int, threshold: float | None) -> dict[str, Any]:
+def of_detector(preset: str, threshold: float | None) -> dict[str, Any]:
     """The header of a grasp; without a threshold it has no detector."""
     of = {"simulated": True, "method": 1, "seed": 0}
-    trained = {"model": "fast-slow", "horizon_ms": 10, "preset": preset, "networks": networks}
+    trained = {"model": "fast-slow", "horizon_ms": 10, "preset": preset}
     model = {**of, "kind": "model", "parents": [], "parameters": trained}
     planned = {"tracker": {"preset": "paper", "constants": {}}, "slip_threshold": threshold}
     if threshold is None:
@@ -170,10 +170,10 @@ def of_detector(preset: str, networks: int, threshold: float | None) -> dict[str
 
 def test_detectors_and_thresholds_that_differ_are_settings() -> None:
     """Assert that grasps with other detectors are kept apart and named, and that with one alone nothing is added."""
-    headers = [of_detector("paper", 1, 0.9), of_detector("paper", 1, 0.3), of_detector("adamw", 4, 0.3)]
-    headers.append(of_detector("paper", 1, None))
+    headers = [of_detector("paper", 0.9), of_detector("paper", 0.3), of_detector("adamw", 0.3)]
+    headers.append(of_detector("paper", None))
     rows = with_detectors([row_of(), row_of(), row_of(), row_of("none")], headers)
-    first, ours = "fast-slow 10 ms ahead by paper", "fast-slow 10 ms ahead by adamw, 4 networks"
+    first, ours = "fast-slow 10 ms ahead by paper", "fast-slow 10 ms ahead by adamw"
     assert [row["setting"] for row in rows] == [
         f"paper, detector {first}, threshold 0.9", f"paper, detector {first}, threshold 0.3",
         f"paper, detector {ours}", "none",

@@ -17,7 +17,6 @@ from evetac_cli.kernels.slip.architectures import (
     DotArchitecture,
     ImageArchitecture,
     Sensitivity,
-    prefixes,
     to_one_sensor,
 )
 from evetac_cli.kernels.slip.sampling import train_cut_ms
@@ -96,18 +95,3 @@ def test_impossible_architectures_are_refused(change: dict[str, Any]) -> None:
     assert replace(HIST10) == HIST10
     with pytest.raises(ValueError, match="found"):
         replace(HIST10, **change)
-
-
-@pytest.mark.parametrize(
-    ("names", "networks"),
-    [
-        (["fc1.weight", "fc1.bias"], [""]),
-        (["0.fc1.weight", "0.fc1.bias", "1.fc1.weight"], ["0.", "1."]),
-        (["7.fc1.weight"], ["0."]),
-        (["\u00b2.fc1.weight", "9" * 5000 + ".fc1.weight"], ["0.", "1."]),
-        ([], [""]),
-    ],
-)
-def test_how_weights_are_named(names: list[str], networks: list[str]) -> None:
-    """Assert what weights of each network begin with, and that senseless names of a file raise nothing here."""
-    assert prefixes(names) == networks

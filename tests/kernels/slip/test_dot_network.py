@@ -11,7 +11,6 @@ from evetac_cli.kernels.slip import detector, onnx_graphs
 from evetac_cli.kernels.slip.architectures import (
     ARCHITECTURES,
     DotArchitecture,
-    joined,
     last_layer,
     weight_shapes,
     with_scaled_logit,
@@ -23,18 +22,15 @@ SUMMED = 2e-6  # how far sums of 300 float32 in another order may be apart in a 
 
 
 def some_weights(
-    architecture: DotArchitecture, rows: int, columns: int, networks: int, rng: np.random.Generator
+    architecture: DotArchitecture, rows: int, columns: int, rng: np.random.Generator
 ) -> dict[str, NDArray[np.float32]]:
     """Weights of a size that neither grows nor fades from layer to layer, and a normalisation."""
-    parts = []
-    for _ in range(networks):
-        shapes = weight_shapes(architecture, rows, columns)
-        part = {name: rng.normal(0, np.sqrt(2 / np.prod(shape[1:])), shape) for name, shape in shapes.items()}
-        part |= {name: rng.normal(0, 0.1, shape) for name, shape in shapes.items() if name.endswith("bias")}
-        part["input_scale"] = rng.uniform(0.5, 2, shapes["input_scale"])
-        part["input_offset"] = rng.normal(0, 0.5, shapes["input_offset"])
-        parts.append({name: array.astype(np.float32) for name, array in part.items()})
-    return joined(parts)
+    shapes = weight_shapes(architecture, rows, columns)
+    weights = {name: rng.normal(0, np.sqrt(2 / np.prod(shape[1:])), shape) for name, shape in shapes.items()}
+    weights |= {name: rng.normal(0, 0.1, shape) for name, shape in shapes.items() if name.endswith("bias")}
+    weights["input_scale"] = rng.uniform(0.5, 2, shapes["input_scale"])
+    weights["input_offset"] = rng.normal(0, 0.5, shapes["input_offset"])
+    return {name: array.astype(np.float32) for name, array in weights.items()}
 
 
 def by_onnxruntime(graph: bytes, batch: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -53,16 +49,15 @@ def predicted(
     batch: NDArray[np.float32],
 ) -> NDArray[np.float32]:
     probability = np.empty(len(batch), np.float32)
-    detector.predict_dots(batch, *detector.pack_networks(architecture, weights, rows, columns), probability)
+    detector.predict_dots(batch, *detector.pack_dots(architecture, weights, rows, columns), probability)
     return probability
 
 
-@pytest.mark.parametrize("networks", [1, 4])
 @pytest.mark.parametrize("architecture", DOTS, ids=lambda row: row.name)
-def test_probabilities_are_those_of_onnxruntime(architecture: DotArchitecture, networks: int) -> None:
-    """Assert so for every architecture, alone and four together."""
+def test_probabilities_are_those_of_onnxruntime(architecture: DotArchitecture) -> None:
+    """Assert so for every architecture."""
     rng = np.random.default_rng(int(hashlib.sha256(architecture.name.encode()).hexdigest()[8:16], 16))
-    weights = some_weights(architecture, 7, 8, networks, rng)
+    weights = some_weights(architecture, 7, 8, rng)
     batch = rng.normal(0, 1, (60, 56, architecture.inputs_per_dot)).astype(np.float32)
     expected = by_onnxruntime(onnx_graphs.build(architecture, weights), batch)
     assert np.ptp(expected) > 0.05
@@ -75,7 +70,7 @@ def test_grids_of_other_sizes(grid: tuple[int, int]) -> None:
     rng = np.random.default_rng(grid[0] * 100 + grid[1])
     architecture = ARCHITECTURES["fast-slow"]
     assert isinstance(architecture, DotArchitecture)
-    weights = some_weights(architecture, *grid, 2, rng)
+    weights = some_weights(architecture, *grid, rng)
     batch = rng.normal(0, 1, (40, grid[0] * grid[1], 30)).astype(np.float32)
     expected = by_onnxruntime(onnx_graphs.build(architecture, weights, *grid), batch)
     assert np.ptp(expected) > 0.05
@@ -87,7 +82,7 @@ def test_certain_answers_stay_probabilities() -> None:
     rng = np.random.default_rng(0)
     architecture = ARCHITECTURES["hist10"]
     assert isinstance(architecture, DotArchitecture)
-    weights = some_weights(architecture, 7, 8, 1, rng)
+    weights = some_weights(architecture, 7, 8, rng)
     batch = rng.normal(0, 1, (5, 56, 20)).astype(np.float32)
     for bias, certain in ((-1e4, 0.0), (1e4, 1.0)):
         weights["fc5.bias"] = np.array([bias], np.float32)
@@ -99,7 +94,7 @@ def test_no_network_remembers_the_input_before() -> None:
     rng = np.random.default_rng(1)
     architecture = ARCHITECTURES["fast-slow"]
     assert isinstance(architecture, DotArchitecture)
-    weights = some_weights(architecture, 7, 8, 2, rng)
+    weights = some_weights(architecture, 7, 8, rng)
     batch = rng.normal(0, 1, (6, 56, 30)).astype(np.float32)
     batch[2] *= 1e6
     whole = predicted(architecture, weights, 7, 8, batch)
@@ -107,12 +102,12 @@ def test_no_network_remembers_the_input_before() -> None:
     assert whole.tobytes() == np.array(alone).tobytes()
 
 
-def test_a_scaled_logit_is_that_of_the_mean_of_networks() -> None:
-    """Assert that scale and offset in the last layers of several networks are those of their mean logit."""
+def test_a_scaled_logit() -> None:
+    """Assert that scale and offset in the last layer are those of the logit, and can be taken back."""
     rng = np.random.default_rng(2)
     architecture = ARCHITECTURES["fast-slow"]
     assert isinstance(architecture, DotArchitecture)
-    weights = some_weights(architecture, 7, 8, 3, rng)
+    weights = some_weights(architecture, 7, 8, rng)
     batch = rng.normal(0, 1, (30, 56, 30)).astype(np.float32)
     before = predicted(architecture, weights, 7, 8, batch).astype(np.float64)
     assert 0.01 < before.min() < before.max() < 0.99

@@ -13,8 +13,7 @@ from evetac_cli.commands.train import Train
 from evetac_cli.errors import InputError
 from evetac_cli.inspect import validate
 from evetac_cli.jobs import Job
-from evetac_cli.kernels.slip import onnx_graphs
-from evetac_cli.kernels.slip.architectures import ARCHITECTURES, DotArchitecture, parted, with_scaled_logit
+from evetac_cli.kernels.slip.architectures import ARCHITECTURES, with_scaled_logit
 from evetac_cli.kernels.slip.detector import Detector
 from evetac_cli.stages import model_files, related_files, slip_detectors, train
 from evetac_cli.stages.train import networks, plan
@@ -409,42 +408,6 @@ def test_networks_are_tasks_of_their_own(trials: list[Path], tmp_path: Path, mon
 
 
 @pytest.mark.slow
-def test_several_networks_decide_by_the_mean_of_their_logits(
-    trials: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Assert that of three networks the last is that of one alone, others differ, and their logits' mean decides.
-
-    Each is then scaled alike, by what their mean is calibrated by.
-    """
-    params = small(networks=3)
-    alone, job = (train.jobs(trials, params, tmp_path / name)[0] for name in ("alone", "three"))
-    train.run(alone, small())
-    (row,) = train.run(job, params).rows
-    assert row["networks"] == 3
-    with StageFile(alone.output) as one, StageFile(job.output) as three:
-        weights = parted(model_files.read_weights(three))
-        same_but_for_rounding(parted(uncalibrated(three))[2], uncalibrated(one))
-        rows, columns = (int(size) for size in three.read("dot_shape"))
-        detector = slip_detectors.load_detector(three)
-    architecture = ARCHITECTURES["hist10"]
-    assert isinstance(architecture, DotArchitecture)
-    assert job.seed == 0  # where the first of them once was the last
-    assert len({each["fc1.weight"].tobytes() for each in weights}) == 3
-    rng = np.random.default_rng(0)
-    batch = rng.uniform(0, 3, (20, rows * columns, architecture.inputs_per_dot)).astype(np.float32)
-    each = [Detector(onnx_graphs.build(architecture, one, rows, columns), architecture) for one in weights]
-    logits = [np.log(p / (1 - p)) for p in (one.probability(batch).astype(float) for one in each)]
-    expected = 1 / (1 + np.exp(-np.mean(logits, axis=0)))
-    np.testing.assert_allclose(detector.probability(batch), expected, rtol=1e-4)
-
-    (again,) = train.jobs(trials, params, tmp_path / "again")
-    interrupted(again, params, monkeypatch, at=220)
-    train.run(again, params)
-    assert contents(again.output) == contents(job.output)
-    assert sorted(path.name for path in again.output.parent.iterdir()) == ["hist10.model.h5"]
-
-
-@pytest.mark.slow
 def test_images_are_trained_on(trials: list[Path], tmp_path: Path) -> None:
     """Assert that models of images train from features that have them."""
     output, _ = run_stage(train, trials, small(model="hist10-img-6x6", max_steps=3), tmp_path)
@@ -494,7 +457,6 @@ def test_a_trained_model_is_adapted(trials: list[Path], tmp_path: Path) -> None:
         ({"horizon_ms": 0}, "--horizon-ms: cannot be combined with --adapt"),
         ({"preset": "paper"}, "--preset: cannot be combined with --adapt"),
         ({"folds": 2}, "--folds: cannot be combined with --adapt"),
-        ({"networks": 32}, "--networks: cannot be combined with --adapt"),
         ({"adapt": "missing.model.h5"}, "missing.model.h5"),
     ],
 )

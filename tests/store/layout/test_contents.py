@@ -13,6 +13,8 @@ from evetac_cli.inspect import validate
 from evetac_cli.kernels.calibration import grid
 from evetac_cli.kernels.slip import architectures, networks
 from evetac_cli.kernels.slip.architectures import ARCHITECTURES
+from evetac_cli.resources import MODEL
+from evetac_cli.stages import slip_detectors
 from evetac_cli.store.files import StageFile, write_stage
 from evetac_cli.store.layout import contents, rules, schema
 from evetac_cli.store.layout.provenance import Recipe
@@ -119,6 +121,18 @@ def test_shapes_of_weights_are_those_of_the_networks(name: str, grid: tuple[int,
     network = networks.build(ARCHITECTURES[name], *grid)
     shapes = {layer: array.shape for layer, array in networks.weights(network).items()}
     assert architectures.weight_shapes(ARCHITECTURES[name], *grid) == shapes
+
+
+def test_an_ensemble_of_networks_is_refused(tmp_path: Path) -> None:
+    """Assert that a model file whose weights are of numbered networks, as 0.2 wrote them, is refused in words."""
+    path = shutil.copy(MODEL, tmp_path / "a.model.h5")
+    with h5py.File(path, "r+") as h5:
+        for name in [*h5["weights"]]:
+            h5.copy(f"weights/{name}", f"weights/1.{name}")
+            h5.move(f"weights/{name}", f"weights/0.{name}")
+    with StageFile(path) as file, pytest.raises(SchemaError, match="(?s)train the model again.*ensemble of networks"):
+        slip_detectors.load_detector(file)
+    assert validate.run([path]).summary["invalid"] == 1
 
 
 def lines(rows: int, columns: int, dx: float, dy: float, skew: float = 0.0) -> Any:
