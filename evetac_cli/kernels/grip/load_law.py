@@ -133,7 +133,8 @@ class LoadLaw:
     probes of the lift and finger motion. Seeds 100 to 124, 360 to 395 and 400 to 519 served for turn, rates, release,
     boost and bounds, with a detector over dots, gripper and sticking share at about 4 false alarms per minute. Seeds
     5000 to 5029 served for opening and light contact: 23 contacts that were felt had closed 3.9 ticks (sd 0.9),
-    and 7 that were not 5.7 (2.4 to 8.4).
+    and 7 that were not 5.7 (2.4 to 8.4). Where over 0.87 of the contact stuck as the detector ended a release, the grip
+    was 1.5 times what just holds (n 2), else 0.9 to 1.3.
 
     "Grip" is the closing beyond the position at which the fingers touch without force. "Ratio" is grip per load, in
     ticks/px. "Spare" is the part of the grip that does not depend on the load. A "probe" closes a little to see
@@ -165,6 +166,7 @@ class LoadLaw:
     ignore_s: float = 0.3  # signs of slip are ignored for this long after unconfirmed slip; doubles each time
     most_ignore_s: float = 2.4  # ... up to this
     little_sticks: float = 0.3  # a smaller sticking share of the contact is a sign of slip
+    mostly_sticks: float = 0.87  # at a larger one, a detector that begins to warn does so at a grip that has its margin
     quiet_s: float = 0.06  # slip is over after this long without a sign
     steady: float = 0.03  # a steady load differs from its mean over about quiet_s by at most this share
     mean_s: float = 0.15  # averaging time constant of a load that swings

@@ -20,7 +20,8 @@ and friction, so each grasp finds the ratio again:
 - Release: the grip on a carried object opens slowly, by the same share per second for every weight, as far as the
   fingers follow. It opens until a sign comes twice at about the same grip: slip, or a change of the load beyond what
   the opening explains. Slip that lasts, or recurs at a firmer grip, is not a false alarm and counts at once. From
-  then on the grip is `margin` times the grip at that sign.
+  then on the grip is `margin` times the grip at that sign, or that grip, if the detector warned while most of the
+  contact stuck.
 - Stopping a slide: an object that slides under its whole weight pulls no harder when it is gripped more firmly, and
   keeps sliding under a grip that would hold it at rest. So at the end of a release, after slip and when the load
   falls, the grip is `slide` times as firm for a while. Each slip also raises the needed ratio a little, up to a bound.
@@ -263,7 +264,7 @@ def _hold(state: LoadState, load: Load, felt: LawInput, slips: bool, dt_s: float
     if friction.needed:
         state.ratio += (friction.needed - state.ratio) * dt_s / law.settle_s
     elif slips and doubted and (state.slip.begins or state.slip.steps == law.sure_steps):
-        _set_needed(state, law)
+        _set_needed(state, felt, law)
     elif boosted or not friction.calm:
         friction.window_ticks = 0.0
     elif not (sign or _load_changes(state, load, law)):
@@ -275,13 +276,14 @@ def _hold(state: LoadState, load: Load, felt: LawInput, slips: bool, dt_s: float
         friction.doubted, state.boost.remaining_s = state.ratio, law.settle_s
         friction.calm, state.load.steady_s, friction.held_s = False, 0.0, 0.0
     else:
-        _set_needed(state, law)
+        _set_needed(state, felt, law)
 
 
-def _set_needed(state: LoadState, law: LoadLaw) -> None:
+def _set_needed(state: LoadState, felt: LawInput, law: LoadLaw) -> None:
     """Set the needed ratio: a sign came twice at about the present one."""
     state.boost.remaining_s = law.settle_s
-    state.ratio = min(state.ratio * law.margin, law.most_ratio)
+    warns_early = state.slip.begins and felt.sticking_share > law.mostly_sticks
+    state.ratio = min(state.ratio * (1.0 if warns_early else law.margin), law.most_ratio)
     state.friction.needed = state.friction.first_needed = state.ratio
 
 
