@@ -30,7 +30,7 @@ class World:
         self.at_ticks, self.state = 100.0, start()
         self.pulled_px = 0.0  # what the object would pull if nothing slid
         self.cries = self.slides = False
-        self.share = 1.0  # of the contact sticks
+        self.share = 1.0  # of the contact sticks while the object does not slide
         self.most_ticks = 0.0
         for _ in range(50):
             self._step(CONTACT, 0.0)
@@ -46,7 +46,7 @@ class World:
 
     def _step(self, phase: GraspPhase, px: float) -> None:
         slip = self.cries or (self.tells and phase is not CONTACT and self.slides)
-        share = self.share
+        share = min(self.share, 0.5) if self.tells and self.slides else self.share
         position = math.floor(self.at_ticks)
         goal = step(self.state, phase, LawInput(slip, px, 0.0, 0.0, share), position, DT_S, self.law)
         ahead = goal - position - Gear().push_per_tick * max(self.at_ticks - self.state.rest_ticks, 0.0)
