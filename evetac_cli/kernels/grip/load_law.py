@@ -53,7 +53,7 @@ class FingerState:
     holds: bool = False  # the last step did not push
     lowest: int = 0  # lowest encoder reading since the fingers began to open
     pulses: int = 0  # opening pushes since that reading
-    open_more: int = 0  # ticks by which opening needs a harder push, and a weaker one in between, than usual
+    open_more: int = 0  # ticks by which opening pushes are harder than usual, and those between them weaker
     dry_s: float = 0.0  # time of closing pushes since the encoder changed
     harder_ticks: float = 0.0  # additional ticks beyond the usual band that closing pushes have shown to need
 
@@ -166,7 +166,7 @@ class LoadLaw:
     ignore_s: float = 0.3  # signs of slip are ignored for this long after unconfirmed slip; doubles each time
     most_ignore_s: float = 2.4  # ... up to this
     little_sticks: float = 0.3  # a smaller sticking share of the contact is a sign of slip
-    mostly_sticks: float = 0.87  # at a larger one, a detector that begins to warn does so at a grip that has its margin
+    mostly_sticks: float = 0.87  # if more of the contact sticks at a warning, the grip is firm enough without margin
     quiet_s: float = 0.06  # slip is over after this long without a sign
     steady: float = 0.03  # a steady load differs from its mean over about quiet_s by at most this share
     mean_s: float = 0.15  # averaging time constant of a load that swings

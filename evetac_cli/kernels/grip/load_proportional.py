@@ -20,8 +20,8 @@ and friction, so each grasp finds the ratio again:
 - Release: the grip on a carried object opens slowly, by the same share per second for every weight, as far as the
   fingers follow. It opens until a sign comes twice at about the same grip: slip, or a change of the load beyond what
   the opening explains. Slip that lasts, or recurs at a firmer grip, is not a false alarm and counts at once. From
-  then on the grip is `margin` times the grip at that sign, or that grip, if the detector warned while most of the
-  contact stuck.
+  then on the grip is `margin` times the grip at that sign. If nearly all of the contact still stuck when the detector
+  warned, the grip at the sign has such a margin already, and none is added.
 - Stopping a slide: an object that slides under its whole weight pulls no harder when it is gripped more firmly, and
   keeps sliding under a grip that would hold it at rest. So at the end of a release, after slip and when the load
   falls, the grip is `slide` times as firm for a while. Each slip also raises the needed ratio a little, up to a bound.

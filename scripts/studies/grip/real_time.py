@@ -105,8 +105,9 @@ def main() -> None:
     parser.add_argument("--rows", type=Path, required=True, help="JSON lines, one per seed")
     chosen = parser.parse_args()
     for seed in sorted(set(chosen.seeds) - {row["seed"] for row in rows_in(chosen.rows)}):
+        one = drawn(seed)
         with tempfile.TemporaryDirectory() as folder:
-            add_rows(chosen.rows, [{"seed": seed, **{how: grasped(drawn(seed), how, Path(folder)) for how in DEVICES}}])
+            add_rows(chosen.rows, [{"seed": seed, **{how: grasped(one, how, Path(folder)) for how in DEVICES}}])
     rows = [row for row in rows_in(chosen.rows) if row["seed"] in chosen.seeds]
     seeds = f"{chosen.seeds[0]}-{chosen.seeds[-1]}"
     title = "The same law, detector and threshold in real time and simulated"
