@@ -77,8 +77,9 @@ def reference(state: TrackerState, slice_: Slice, last: dict[tuple[int, int], se
             rims_say[p, i] += shown.get(frozenset(last.get((x, y), ())), 2.6) * leading * normal
             weights[p, i] += weight
             events[i] += 1
-    for pixel in {(x, y) for x, y, _ in zip(*slice_, strict=True)}:
-        last[pixel] = {p for x, y, p in zip(*slice_, strict=True) if (x, y) == pixel}
+    last |= {(x, y): set() for x, y, _ in zip(*slice_, strict=True)}
+    for x, y, p in zip(*slice_, strict=True):
+        last[x, y].add(p)
     total = np.trace(h, axis1=1, axis2=2)
     both = rims_say.sum(axis=0)
     for i in range(n):
