@@ -3,8 +3,9 @@
 import string
 from pathlib import Path
 
-from evetac_cli.jobs import Row
-from scripts.paper.rows import DIRECTION, ERROR, INSIDE, MISSED, NOT_APPLICABLE, NOT_YET, STILL, counts, filled, read
+from evetac_cli.jobs import Row, Rows
+from scripts.paper.rows import ERROR, NOT_APPLICABLE, NOT_YET, STILL, counts, filled, is_informative, read
+from scripts.paper.verdicts import DIFFERENT, VERDICTS
 from scripts.reproduce.table_text import as_table
 
 # The topics of the paper, by the number of their first row.
@@ -16,46 +17,49 @@ TOPICS = {
     69: "Slip detection",
     91: "Grasps",
 }
+VERBS = "agree", "are compatible", "are undecided", "differ"
 
 
 def as_answer(results: Path) -> str:
     """Return the sentences that answer how much of the paper is reproduced."""
     entries = filled(read(), results)["rows"]
-    of_figures = counts([entry for entry in entries if entry["kind"] == "figure"])
+    figures = [entry for entry in entries if entry["kind"] == "figure"]
+    informative = [entry for entry in figures if is_informative(entry)]
+    chosen = [entry for entry in figures if entry["role"] != "prediction"]
+    ends = len(figures) - len(informative) - len(chosen)
     of_methods = counts([entry for entry in entries if entry["kind"] == "method"])
     others = sum(entry["kind"] == NOT_APPLICABLE for entry in entries)
-    total = sum(of_figures.values())
-    predicted = [entry for entry in entries if entry.get("role") == "prediction"]
-    agree = counts(predicted)
     methods = ", ".join(f"{count} {name}" for name, count in of_methods.items())
-    inside, direction, missed = (of_figures.get(name, 0) for name in (INSIDE, DIRECTION, MISSED))
     return (
-        f"**Of {total} figures and comparisons of the paper, {inside} are inside their spread in the simulation,"
-        f" {direction} more have the right direction, and {missed} are not reproduced.** {len(predicted)} are"
-        f" predictions: {agree.get(INSIDE, 0)} inside their spread, {agree.get(DIRECTION, 0)} in the right direction,"
-        f" {agree.get(MISSED, 0)} not reproduced. The other {total - len(predicted)} are fitted, may be fitted, or were"
-        " looked at while constants were chosen. Of"
+        f"**Of {len(informative)} informative predictions of the paper's figures, {_by_verdict(informative)}.**"
+        f" {ends} more predictions are not informative, because a share is 0 or 1 in the paper or here. {len(chosen)}"
+        f" figures were fitted, may be, or were looked at while constants were chosen: {_by_verdict(chosen)}. Of"
         f" {sum(of_methods.values())} methods: {methods}. {others} rows are not applicable.\n"
     )
 
 
+def _by_verdict(entries: Rows) -> str:
+    """Return the number of entries for each verdict in words."""
+    found = counts(entries)
+    return ", ".join(f"{found.get(name, 0)} {verb}" for name, verb in zip(VERDICTS, VERBS, strict=True))
+
+
 def as_topics(results: Path) -> str:
-    """Return the number of figures by verdict for each topic of the paper."""
-    figures = [entry for entry in filled(read(), results)["rows"] if entry["kind"] == "figure"]
+    """Return the number of informative predictions by verdict for each topic of the paper."""
+    figures = [one for one in filled(read(), results)["rows"] if one["kind"] == "figure" and is_informative(one)]
     lines = []
     for first, topic in TOPICS.items():
         of_topic = counts([entry for entry in figures if max(one for one in TOPICS if one <= _row(entry)) == first])
-        found = [str(of_topic.get(name, 0)) for name in (INSIDE, DIRECTION, MISSED)]
-        lines.append([topic, str(sum(of_topic.values())), *found])
-    return as_table(["of the paper", "figures", INSIDE, DIRECTION, MISSED], lines) + "\n"
+        lines.append([topic, str(sum(of_topic.values())), *(str(of_topic.get(name, 0)) for name in VERDICTS)])
+    return as_table(["of the paper", "informative predictions", *VERDICTS], lines) + "\n"
 
 
 def as_missed(results: Path) -> str:
-    """Return the reasons why figures are not reproduced, each with its rows, and what was not tried."""
+    """Return the reasons why figures differ, each with its rows, and what was not tried."""
     rows = filled(read(), results)["rows"]
     reasons: dict[str, list[str]] = {}
     for entry in rows:
-        if entry["computed"]["verdict"] in (MISSED, NOT_APPLICABLE):
+        if entry["computed"]["verdict"] in (DIFFERENT, NOT_APPLICABLE):
             reasons.setdefault(entry["why"], []).append(entry["number"])
     return "\n".join(f"- **{', '.join(numbers)}**: {why}." for why, numbers in reasons.items()) + "\n"
 
@@ -111,7 +115,7 @@ def _ours(entry: Row) -> str:
 PAGES = {
     "paper-answer": as_answer,
     "paper-topics": as_topics,
-    "paper-not-reproduced": as_missed,
+    "paper-differs": as_missed,
     "paper-figures": as_figures,
     "paper-methods": as_methods,
 }

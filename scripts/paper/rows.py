@@ -7,21 +7,16 @@
 and the field with evetac's figure; a method names the module and the test that show it. What can be computed is
 computed here from the tables and from evetac_cli/evaluate, and a test compares it with what is written.
 
-The verdict of a figure is the first of these that applies:
-
-- `inside its spread`: evetac's figure is inside the paper's spread: the paper's mean less and plus its sd, Wilson's
-  95 % interval of a share of the paper's number of trials, or what its sentence allows. If the paper gives no spread,
-  its figure must be inside evetac's 95 % interval. Sds of single errors, as in the paper's table of forces, are no
-  spread.
-- `right direction`: every comparison that the paper draws with this figure has the same sign in evetac's figures. If
-  both figures have intervals, the interval of their difference excludes 0 (R. G. Newcombe, Interval estimation for the
-  difference between independent proportions, 1998; here also for means, with the intervals' own ends); otherwise the
-  sign alone decides. Against a number that the paper states, evetac's figure itself has to be on the stated side.
-- `not reproduced`: everything else, with the reason as far as it is known.
+A figure that the paper prints has a verdict of verdicts.py, by the interval of the difference of the two figures and
+the margin of its unit. The paper's interval is Wilson's for a share of trials, and Student's for a mean with its sd and
+n; sds of single errors, as in the paper's table of forces, give none. What a sentence of the paper allows,
+such as "less than 10 mm in most trials", is a range. A comparison that the paper draws has a verdict by the interval of
+the difference of evetac's two figures; of several comparisons the worst verdict counts. A figure of evetac without an
+interval decides nothing.
 
 A count of dots that end where they began, and an error beside that of another tracker, can be right with dots that
-never move. Such entries name their row of `tracking-distance` (`tracks`): they are `not reproduced` unless the tracker
-is nearer to the true dots than dots that never move.
+never move. Such entries name their row of `tracking-distance` (`tracks`): they are `undecided` unless the tracker is
+nearer to the true dots than dots that never move.
 
 `not applicable` has a reason, too. Methods have the verdict `same method`, or `other method` with what differs.
 """
@@ -39,14 +34,18 @@ from evetac_cli.evaluate.common import marks
 from evetac_cli.evaluate.common.marks import Source
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels import estimates
+from evetac_cli.kernels.estimates import Estimate
+from scripts.paper import verdicts
+from scripts.paper.verdicts import DIFFERENT, UNDECIDED
 
 ROOT = Path(__file__).resolve().parents[2]
 ROWS = Path(__file__).with_name("rows.json")
 RESULTS = ROOT / "docs" / "results"
-INSIDE, DIRECTION, MISSED, NOT_APPLICABLE = "inside its spread", "right direction", "not reproduced", "not applicable"
+NOT_APPLICABLE = "not applicable"
 SAME, OTHER = marks.SAME, marks.METHOD
-VERDICTS = (INSIDE, DIRECTION, MISSED, SAME, OTHER, NOT_APPLICABLE)
+VERDICTS = (*verdicts.VERDICTS, SAME, OTHER, NOT_APPLICABLE)
 NOT_YET = "no table yet"
+SHARES = ("share", "share (most)", "F1")  # units in which 0 and 1 are the ends
 DISTANCE, ERROR, STILL = "tracking-distance", "error_px_rms", "still_px_rms"
 
 
@@ -59,9 +58,9 @@ class Ours(NamedTuple):
     mark: str | None = None
 
     @property
-    def has_interval(self) -> bool:
-        """Whether both ends are known."""
-        return self.low is not None and self.high is not None
+    def estimate(self) -> Estimate | None:
+        """The figure with its interval; None without one."""
+        return None if self.low is None or self.high is None else Estimate(self.value, self.low, self.high)
 
 
 class Awaited(Exception):
@@ -156,34 +155,28 @@ def _interval(entry: Row, row: Row, *, need_interval: bool) -> tuple[float | Non
     return row[entry["field"]] - half, row[entry["field"]] + half
 
 
-def holds(claim: Row, entry: Row, rows: Mapping[str, Row], results: Path = RESULTS) -> bool:
-    """Whether a comparison that the paper draws holds for evetac's figures.
+def compared(claim: Row, entry: Row, rows: Mapping[str, Row], results: Path = RESULTS) -> str:
+    """Return the verdict on a comparison that the paper draws, from evetac's figures.
 
     A claim is that a figure is `above` or `below` another one: that of another entry (`row`), of another row of its
     table (`select`), or of another field (`field`), or so many `times` it. With `than` it is compared with a number
-    that the paper states, or with `paper`, the paper's own figure.
+    that the paper states.
     """
-    mine = ours(entry, rows, results, need_interval=False)
-    sign = 1 if claim["is"] == "above" else -1
+    mine = ours(entry, rows, results, need_interval=False).estimate
     if "than" in claim:
-        figure = published(entry, results)
-        stated = figure.value if claim["than"] == "paper" and figure is not None else claim["than"]
-        return sign * (mine.value - stated) > 0
-    if "row" in claim:
-        other = ours(rows[claim["row"]], rows, results, need_interval=False)
+        other: Estimate | None = Estimate(*3 * (claim["than"],))
+    elif "row" in claim:
+        other = ours(rows[claim["row"]], rows, results, need_interval=False).estimate
     else:
         changed = {"row": {**entry["row"], **claim.get("select", {})}, "field": claim.get("field", entry["field"])}
         plain = {
             key: one for key, one in entry.items() if key not in ("column", "interval" if "field" in claim else "")
         }
-        other = ours({**plain, **changed}, rows, results, need_interval=False)
-        other = other._replace(value=claim.get("times", 1.0) * other.value)
-    higher, lower = (mine, other) if sign > 0 else (other, mine)
-    difference = higher.value - lower.value
-    if not (higher.has_interval and lower.has_interval):
-        return difference > 0
-    assert higher.low is not None and lower.high is not None
-    return difference - math.hypot(higher.value - higher.low, lower.high - lower.value) > 0
+        other = ours({**plain, **changed}, rows, results, need_interval=False).estimate
+    if mine is None or other is None:
+        return UNDECIDED
+    other = Estimate(*(claim.get("times", 1.0) * end for end in other))
+    return verdicts.of_comparison(verdicts.difference(mine, other), 1 if claim["is"] == "above" else -1)
 
 
 def computed(entry: Row, rows: Mapping[str, Row], results: Path = RESULTS) -> Row:
@@ -194,28 +187,39 @@ def computed(entry: Row, rows: Mapping[str, Row], results: Path = RESULTS) -> Ro
         return {"verdict": OTHER if entry.get("differs") else SAME}
     try:
         mine, figure = ours(entry, rows, results, need_interval=False), published(entry, results)
-        figures = {} if figure is None else {"paper": figure.value, "unit": figure.unit, "where": figure.where}
-        spread = None if figure is None else figure.spread
-        found = {**figures, "spread": spread and [_rounded(end) for end in spread], "ours": _rounded(mine.value)}
-        ends = [_rounded(end) for end in mine[1:3]] if mine.has_interval else None
+        found: Row = {}
+        if figure is not None:
+            ends = figure.interval or figure.limits
+            found = {"paper": figure.value, "unit": figure.unit, "where": figure.where}
+            found["spread"] = ends and [_rounded(end) for end in ends]
+        found["ours"] = _rounded(mine.value)
         verdict = _verdict(entry, mine, figure, rows, results)
         if "tracks" in entry:
             _, row = row_of(results, DISTANCE, entry["tracks"])
             found |= {name: _rounded(row[name]) for name in (ERROR, STILL)}
-            verdict = verdict if row[ERROR] < row[STILL] else MISSED
+            verdict = verdict if row[ERROR] < row[STILL] else UNDECIDED
     except Awaited:
         return {"verdict": NOT_YET}
-    return {**found, "interval": ends, "mark": mine.mark, "verdict": verdict}
+    interval = None if mine.estimate is None else [_rounded(end) for end in mine.estimate[1:]]
+    return {**found, "interval": interval, "mark": mine.mark, "verdict": verdict}
 
 
 def _verdict(entry: Row, mine: Ours, figure: marks.PaperFigure | None, rows: Mapping[str, Row], results: Path) -> str:
-    if figure is not None:
-        spread, value = (figure.spread, mine.value) if figure.spread is not None else (mine[1:3], figure.value)
-        low, high = spread
-        if low is not None and high is not None and low <= value <= high:
-            return INSIDE
-    claims = entry.get("direction", [])
-    return DIRECTION if claims and all(holds(claim, entry, rows, results) for claim in claims) else MISSED
+    if figure is None:
+        found = [compared(claim, entry, rows, results) for claim in entry["direction"]]
+        return max(found, key=verdicts.VERDICTS.index)
+    if mine.estimate is None:
+        return UNDECIDED
+    if figure.limits is not None:
+        return verdicts.of_range(mine.estimate, *figure.limits)
+    paper = Estimate(figure.value, *(figure.interval or 2 * (figure.value,)))
+    return verdicts.of_figures(verdicts.difference(mine.estimate, paper), margin(figure.unit, figure.value))
+
+
+def margin(unit: str, value: float) -> verdicts.Margin:
+    """Return how far a figure may be from the paper's to be called equal, by its unit; set before measuring."""
+    ((how, most),) = read()["margins"][unit].items()
+    return (-most, most) if how == "difference" else tuple(sorted((value / most - value, value * most - value)))
 
 
 def _rounded(value: float | None) -> float | None:
@@ -233,7 +237,7 @@ def awaiting(entries: Rows, results: Path = RESULTS) -> list[str]:
                 ours(entry, rows, results)
                 published(entry, results)
                 for claim in entry.get("direction", []):
-                    holds(claim, entry, rows, results)
+                    compared(claim, entry, rows, results)
         except Awaited as error:
             missing.append(f"{entry['number']}: {error}")
     return missing
@@ -275,8 +279,15 @@ def filled(content: Row, results: Path = RESULTS) -> Row:
 
 def counts(entries: Rows) -> dict[str, int]:
     """Return the number of entries by verdict, in the order of VERDICTS."""
-    verdicts = [entry["computed"]["verdict"] for entry in entries]
-    return {name: verdicts.count(name) for name in (*VERDICTS, NOT_YET) if name in verdicts}
+    found = [entry["computed"]["verdict"] for entry in entries]
+    return {name: found.count(name) for name in (*VERDICTS, NOT_YET) if name in found}
+
+
+def is_informative(entry: Row) -> bool:
+    """Whether a figure could show something: nothing was fitted to it or near it, and neither is a share of 0 or 1."""
+    found = entry["computed"]
+    ends = {found.get("paper"), found["ours"]} if found.get("unit") in SHARES else set()
+    return bool(entry["role"] == "prediction" and not ends & {0.0, 1.0})
 
 
 def main() -> None:
@@ -288,10 +299,12 @@ def main() -> None:
     if content["awaiting"]:
         print("awaiting:", *content["awaiting"], sep="\n  ")
     unexplained = [
-        entry["number"] for entry in content["rows"] if entry["computed"]["verdict"] == MISSED and not entry.get("why")
+        entry["number"]
+        for entry in content["rows"]
+        if entry["computed"]["verdict"] == DIFFERENT and not entry.get("why")
     ]
     if unexplained:
-        sys.exit(f"not reproduced, without a reason (why): {', '.join(unexplained)}")
+        sys.exit(f"different, without a reason (why): {', '.join(unexplained)}")
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ is used:
 - same method: all of these match the paper, although evetac's data may be simulated.
 """
 
+import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, MutableMapping
 from dataclasses import dataclass, field
@@ -117,17 +118,23 @@ class PaperFigure:
     where: str  # section or table of the paper
     conditions: Conditions
     fitted_in: str = ""  # the scene of evetac that was adjusted until it gave this figure
-    limits: tuple[float, float] | None = None  # the mean less and plus the paper's sd, or what a sentence allows
-    trials: int = 0  # of which the figure is a share
+    limits: tuple[float, float] | None = None  # what a sentence allows
+    trials: int = 0  # of which the figure is a share or a mean
+    sd: float | None = None  # of a mean, over its trials
 
     @property
-    def spread(self) -> tuple[float, float] | None:
-        """The ends of the paper's own spread: its limits, or Wilson's 95 % interval of a share; None if it has none."""
-        if self.limits is not None or not self.trials:
-            return self.limits
+    def interval(self) -> tuple[float, float] | None:
+        """The 95 % interval: Wilson's of a share, Student's of a mean with its sd; None without trials."""
+        if not self.trials:
+            return None
         from evetac_cli.kernels import estimates  # here, as subjects are listed without numpy
 
-        return estimates.share(round(self.value * self.trials), self.trials)[1:]
+        if self.sd is None:
+            return estimates.share(round(self.value * self.trials), self.trials)[1:]
+        from scipy import stats
+
+        half = float(stats.t.ppf((1 + estimates.LEVEL) / 2, self.trials - 1)) * self.sd / math.sqrt(self.trials)
+        return self.value - half, self.value + half
 
 
 class PaperColumn(NamedTuple):

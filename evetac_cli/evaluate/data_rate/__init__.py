@@ -1,7 +1,7 @@
 """evaluate data-rate: bytes of events against those of an RGB sensor."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from evetac_cli.commands.parameter import parameter
 from evetac_cli.evaluate.common.marks import Conditions, Key, Paper, PaperColumn, PaperFigure, Row, Source, scenes
@@ -16,10 +16,9 @@ def _figures() -> Iterator[tuple[Key, PaperFigure]]:
     for interval, mean, sd in (("whole", 0.017, 0.004), ("contact", 0.028, 0.008), ("slip", 0.119, 0.006)):
         conditions = Conditions("bytes a second", SCENE, (5,), f"{COLUMNS} columns")
         fitted_in = SCENE if interval == "slip" else ""  # by the object's mass, which the paper does not state
-        for key, value in (("data rate", mean), ("data rate, sd", sd)):
-            limits = (round(mean - sd, 4), round(mean + sd, 4)) if value == mean else None
-            figure = PaperFigure(value, "share of the RGB sensor's", where, conditions, fitted_in, limits)
-            yield (key, interval), figure
+        figure = PaperFigure(mean, "share of the RGB sensor's", where, conditions, fitted_in, trials=5, sd=sd)
+        yield ("data rate", interval), figure
+        yield ("data rate, sd", interval), replace(figure, value=sd, trials=0, sd=None)
 
 
 def _of_interval(quantity: str) -> PaperColumn:

@@ -1,0 +1,50 @@
+"""Whether a figure of evetac differs from the paper's, by the 95 % interval of their difference and a margin.
+
+The interval of a difference follows from those of the two figures, as for two independent samples: for shares from
+Wilson's intervals (R. G. Newcombe, Interval estimation for the difference between independent proportions, 1998), for
+other figures from whatever intervals they have (G. Y. Zou and A. Donner, Construction of confidence limits about effect
+measures, 2008), which for means is close to Welch's test. A figure that the paper prints alone is taken as exact.
+"""
+
+import math
+
+from evetac_cli.kernels.estimates import Estimate
+
+AGREES, COMPATIBLE, UNDECIDED, DIFFERENT = "agrees", "compatible", "undecided", "different"
+VERDICTS = (AGREES, COMPATIBLE, UNDECIDED, DIFFERENT)
+Margin = tuple[float, float]  # smallest and largest difference of figures that may be called equal
+
+
+def difference(first: Estimate, second: Estimate) -> Estimate:
+    """Return the first figure less the second with its interval."""
+    value = first.value - second.value
+    below = math.hypot(first.value - first.low, second.high - second.value)
+    above = math.hypot(first.high - first.value, second.value - second.low)
+    return Estimate(value, value - below, value + above)
+
+
+def of_figures(found: Estimate, margin: Margin) -> str:
+    """Return the verdict on a difference: it agrees if the whole interval is within the margin, else differs beyond 0.
+
+    If the interval contains 0, the figures are compatible if it is no wider than the margin; a wider one, which would
+    hardly show a difference of the size of the margin, decides nothing.
+    """
+    if margin[0] <= found.low and found.high <= margin[1]:
+        return AGREES
+    if not found.low <= 0 <= found.high:
+        return DIFFERENT
+    return COMPATIBLE if found.high - found.low <= margin[1] - margin[0] else UNDECIDED
+
+
+def of_range(found: Estimate, low: float, high: float) -> str:
+    """Return the verdict on a figure where the paper's sentence allows a range."""
+    if low <= found.low and found.high <= high:
+        return COMPATIBLE
+    return DIFFERENT if found.high < low or high < found.low else UNDECIDED
+
+
+def of_comparison(found: Estimate, sign: int) -> str:
+    """Return the verdict on a comparison that the paper draws, from a difference that has the sign if it holds."""
+    if found.low <= 0 <= found.high:
+        return UNDECIDED
+    return COMPATIBLE if found.value * sign > 0 else DIFFERENT
