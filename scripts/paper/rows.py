@@ -46,6 +46,7 @@ SAME, OTHER = marks.SAME, marks.METHOD
 VERDICTS = (*verdicts.VERDICTS, SAME, OTHER, NOT_APPLICABLE)
 NOT_YET = "no table yet"
 SHARES = ("share", "share (most)", "F1")  # units in which 0 and 1 are the ends
+BY_OBJECT = "by_object"  # field of a table: the figures of its row for each object
 DISTANCE, ERROR, STILL = "tracking-distance", "error_px_rms", "still_px_rms"
 
 
@@ -160,23 +161,41 @@ def compared(claim: Row, entry: Row, rows: Mapping[str, Row], results: Path = RE
 
     A claim is that a figure is `above` or `below` another one: that of another entry (`row`), of another row of its
     table (`select`), or of another field (`field`), or so many `times` it. With `than` it is compared with a number
-    that the paper states.
+    that the paper states. Figures that their tables also have by object, on the same objects, are compared in pairs.
     """
+    sign, times = 1 if claim["is"] == "above" else -1, claim.get("times", 1.0)
     mine = ours(entry, rows, results, need_interval=False).estimate
     if "than" in claim:
         other: Estimate | None = Estimate(*3 * (claim["than"],))
-    elif "row" in claim:
-        other = ours(rows[claim["row"]], rows, results, need_interval=False).estimate
     else:
-        changed = {"row": {**entry["row"], **claim.get("select", {})}, "field": claim.get("field", entry["field"])}
-        plain = {
-            key: one for key, one in entry.items() if key not in ("column", "interval" if "field" in claim else "")
-        }
-        other = ours({**plain, **changed}, rows, results, need_interval=False).estimate
+        against = rows[claim["row"]] if "row" in claim else _changed(entry, claim)
+        first, second = _by_object(entry, results), _by_object(against, results)
+        if first and first.keys() == second.keys():
+            scaled = {name: times * figure for name, figure in second.items()}
+            return verdicts.of_comparison(verdicts.paired(first, scaled), sign)
+        other = ours(against, rows, results, need_interval=False).estimate
     if mine is None or other is None:
         return UNDECIDED
-    other = Estimate(*(claim.get("times", 1.0) * end for end in other))
-    return verdicts.of_comparison(verdicts.difference(mine, other), 1 if claim["is"] == "above" else -1)
+    return verdicts.of_comparison(verdicts.difference(mine, Estimate(*(times * end for end in other))), sign)
+
+
+def _changed(entry: Row, claim: Row) -> Row:
+    """Return the entry of the figure that a claim compares with, in the same table."""
+    other = {
+        key: value for key, value in entry.items() if key not in ("column", "interval" if "field" in claim else "")
+    }
+    return {
+        **other, "row": {**entry["row"], **claim.get("select", {})}, "field": claim.get("field", entry["field"])
+    }  # fmt: skip
+
+
+def _by_object(entry: Row, results: Path) -> dict[str, float]:
+    """Return an entry's figure by object; empty where its table does not have it, or has an object without it."""
+    if "table" not in entry:
+        return {}
+    _, row = row_of(results, entry["table"], entry["row"])
+    found = {name: figures.get(entry["field"]) for name, figures in row.get(BY_OBJECT, {}).items()}
+    return {} if None in found.values() else found
 
 
 def computed(entry: Row, rows: Mapping[str, Row], results: Path = RESULTS) -> Row:
@@ -255,7 +274,7 @@ def needed(table: str) -> set[str]:
         if entry.get("table") != table:
             continue
         how = entry.get("interval") or []
-        fields |= {entry["field"], *entry["row"], *(how if isinstance(how, list) else how.values())}
+        fields |= {entry["field"], BY_OBJECT, *entry["row"], *(how if isinstance(how, list) else how.values())}
         for claim in entry.get("direction", []):
             fields |= {*claim.get("select", {}), *([claim["field"]] if "field" in claim else [])}
         if "column" in entry:

@@ -7,7 +7,11 @@ measures, 2008), which for means is close to Welch's test. A figure that the pap
 """
 
 import math
+from collections.abc import Mapping
 
+import numpy as np
+
+from evetac_cli.kernels import estimates
 from evetac_cli.kernels.estimates import Estimate
 
 AGREES, COMPATIBLE, UNDECIDED, DIFFERENT = "agrees", "compatible", "undecided", "different"
@@ -21,6 +25,17 @@ def difference(first: Estimate, second: Estimate) -> Estimate:
     below = math.hypot(first.value - first.low, second.high - second.value)
     above = math.hypot(first.high - first.value, second.value - second.low)
     return Estimate(value, value - below, value + above)
+
+
+def paired(first: Mapping[str, float], second: Mapping[str, float]) -> Estimate:
+    """Return the mean of the first less the second over objects, (figure by object), from resampling these.
+
+    Both are judged on the same trials, so what makes an object hard for both does not widen the interval.
+    """
+    off = np.array([first[name] - second[name] for name in first])
+    found = estimates.ratio_of_clusters(off, np.ones(len(off)), estimates.cluster_weights(list(first)))
+    assert found is not None
+    return found
 
 
 def of_figures(found: Estimate, margin: Margin) -> str:

@@ -8,6 +8,7 @@ from evetac_cli.evaluate import PAPER
 from evetac_cli.evaluate.data_rate import COLUMNS
 from evetac_cli.evaluate.subject import grouped
 from evetac_cli.jobs import Row, Rows
+from scripts.paper.rows import BY_OBJECT
 from scripts.reproduce.steps import DATA_RATE_OBJECTS, ROBUST_SETTINGS, TRACKING_SCENES
 
 
@@ -92,7 +93,13 @@ def recipe_rows(evaluations: Evaluations) -> Rows:
         _, change, role = name.split("-")
         what = {"change": change, "change_words": RECIPE_CHANGED.get(change, change)}
         what["objects_words"] = "trained on" if role == "known" else "unseen"
-        rows += [{**row, **what, "evaluation": name} for row in slip_rows({name: evaluation})]
+        for row in slip_rows({name: evaluation}):
+            by_object = {
+                one["object"]: {"slip_correct": one["slip_correct"], "f1": one["f1"]}
+                for one in having({name: evaluation}, "object", "slip_correct")
+                if one["setting"] == row["setting"]
+            }
+            rows.append({**row, **what, BY_OBJECT: by_object, "evaluation": name})
     return rows
 
 

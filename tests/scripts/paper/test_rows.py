@@ -222,6 +222,21 @@ def test_verdicts_on_comparisons(claim: dict[str, Any], expected: str, tables: P
     assert verdict(entry("good", direction=[{"is": "above", "row": "near"}, claim]), tables, *others) == worst
 
 
+@pytest.mark.parametrize(
+    ("less", "expected"),
+    [([0.04] * 5, COMPATIBLE), ([-0.04] * 5, DIFFERENT), ([0.2, 0.1, 0.0, -0.1, 0.0], UNDECIDED), ([0.04], UNDECIDED)],
+)
+def test_figures_of_the_same_objects_are_compared_in_pairs(less: list[float], expected: str, tables: Path) -> None:
+    """Assert that a small difference that every object has shows; with another set of objects it would not."""
+    content = json.loads((tables / "a.json").read_text())
+    good, near = content["rows"][:2]
+    good["by_object"] = {str(k): {"share": 0.9 - 0.1 * k} for k in range(5)}
+    near["by_object"] = {str(k): {"share": 0.9 - 0.1 * k - off} for k, off in enumerate(less)}
+    (tables / "a.json").write_text(json.dumps(content))
+    assert verdict(entry("good", direction=[{"is": "above", "row": "near"}]), tables, entry("near")) == expected
+    assert verdict(entry("near", direction=[{"is": "below", "row": "good"}]), tables, entry("good")) == expected
+
+
 @pytest.mark.parametrize(("error_px", "expected"), [(1.9, COMPATIBLE), (2.0, UNDECIDED)])
 def test_dots_that_never_move_reproduce_nothing(error_px: float, expected: str, tables: Path) -> None:
     """Assert that a tracker has to be nearer to the true dots than dots that stand still."""
