@@ -63,6 +63,14 @@ def share(hits: int, count: int) -> Estimate:
     return Estimate(hits / count, float(interval.low), float(interval.high))
 
 
+def mean(value: float, sd: float, count: int) -> Estimate:
+    """Return the mean of `count` values with this standard deviation, with Student's interval."""
+    from scipy import stats
+
+    half = float(stats.t.ppf((1 + LEVEL) / 2, count - 1)) * sd / float(np.sqrt(count))
+    return Estimate(value, value - half, value + half)
+
+
 def of_samples(value: float, samples: NDArray[np.float64]) -> Estimate:
     """Return a value with the interval of its resampled values (percentiles)."""
     low, high = np.percentile(samples, [50 * (1 - LEVEL), 50 * (1 + LEVEL)])

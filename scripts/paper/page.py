@@ -5,7 +5,7 @@ from pathlib import Path
 
 from evetac_cli.jobs import Row, Rows
 from scripts.paper.rows import ERROR, NOT_APPLICABLE, NOT_YET, STILL, counts, filled, is_informative, read
-from scripts.paper.verdicts import DIFFERENT, VERDICTS
+from scripts.paper.verdicts import DIFFERENT, UNDECIDED, VERDICTS
 from scripts.reproduce.table_text import as_table
 
 # The topics of the paper, by the number of their first row.
@@ -55,11 +55,11 @@ def as_topics(results: Path) -> str:
 
 
 def as_missed(results: Path) -> str:
-    """Return the reasons why figures differ, each with its rows, and what was not tried."""
+    """Return the reasons why figures differ or are undecided, each with its rows, and what was not tried."""
     rows = filled(read(), results)["rows"]
     reasons: dict[str, list[str]] = {}
     for entry in rows:
-        if entry["computed"]["verdict"] in (DIFFERENT, NOT_APPLICABLE):
+        if entry["computed"]["verdict"] in (DIFFERENT, UNDECIDED, NOT_APPLICABLE) and "why" in entry:
             reasons.setdefault(entry["why"], []).append(entry["number"])
     return "\n".join(f"- **{', '.join(numbers)}**: {why}." for why, numbers in reasons.items()) + "\n"
 

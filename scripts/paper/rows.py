@@ -22,7 +22,6 @@ nearer to the true dots than dots that never move.
 """
 
 import json
-import math
 import sys
 from collections.abc import Mapping
 from functools import cache
@@ -149,11 +148,7 @@ def _interval(entry: Row, row: Row, *, need_interval: bool) -> tuple[float | Non
     if "share_of" in how:
         count = int(row[how["share_of"]])
         return estimates.share(round(row[entry["field"]] * count), count)[1:]
-    from scipy import stats
-
-    count = int(row[how["n"]])
-    half = float(stats.t.ppf((1 + estimates.LEVEL) / 2, count - 1)) * row[how["sd"]] / math.sqrt(count)
-    return row[entry["field"]] - half, row[entry["field"]] + half
+    return estimates.mean(row[entry["field"]], row[how["sd"]], int(row[how["n"]]))[1:]
 
 
 def compared(claim: Row, entry: Row, rows: Mapping[str, Row], results: Path = RESULTS) -> str:
@@ -181,12 +176,9 @@ def compared(claim: Row, entry: Row, rows: Mapping[str, Row], results: Path = RE
 
 def _changed(entry: Row, claim: Row) -> Row:
     """Return the entry of the figure that a claim compares with, in the same table."""
-    other = {
-        key: value for key, value in entry.items() if key not in ("column", "interval" if "field" in claim else "")
-    }
-    return {
-        **other, "row": {**entry["row"], **claim.get("select", {})}, "field": claim.get("field", entry["field"])
-    }  # fmt: skip
+    own = ("column", "interval") if "field" in claim else ("column",)  # what does not hold for the other figure
+    other = {key: value for key, value in entry.items() if key not in own}
+    return {**other, "row": entry["row"] | claim.get("select", {}), "field": claim.get("field", entry["field"])}
 
 
 def _by_object(entry: Row, results: Path) -> dict[str, float]:
@@ -305,7 +297,7 @@ def counts(entries: Rows) -> dict[str, int]:
 def is_informative(entry: Row) -> bool:
     """Whether a figure could show something: nothing was fitted to it or near it, and neither is a share of 0 or 1."""
     found = entry["computed"]
-    ends = {found.get("paper"), found["ours"]} if found.get("unit") in SHARES else set()
+    ends = {found.get("paper"), found.get("ours")} if found.get("unit") in SHARES else set()
     return bool(entry["role"] == "prediction" and not ends & {0.0, 1.0})
 
 

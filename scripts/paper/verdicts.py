@@ -39,10 +39,11 @@ def paired(first: Mapping[str, float], second: Mapping[str, float]) -> Estimate:
 
 
 def of_figures(found: Estimate, margin: Margin) -> str:
-    """Return the verdict on a difference: it agrees if the whole interval is within the margin, else differs beyond 0.
+    """Return the verdict on two figures, by the interval of their difference.
 
-    If the interval contains 0, the figures are compatible if it is no wider than the margin; a wider one, which would
-    hardly show a difference of the size of the margin, decides nothing.
+    They agree if the whole interval is within the margin; otherwise they are different if it does not contain 0. If it
+    does, they are compatible if it is no wider than the margin; a wider one would hardly show a difference as large as
+    the margin, and decides nothing.
     """
     if margin[0] <= found.low and found.high <= margin[1]:
         return AGREES

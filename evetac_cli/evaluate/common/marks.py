@@ -12,7 +12,6 @@ is used:
 - same method: all of these match the paper, although evetac's data may be simulated.
 """
 
-import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, MutableMapping
 from dataclasses import dataclass, field
@@ -129,12 +128,9 @@ class PaperFigure:
             return None
         from evetac_cli.kernels import estimates  # here, as subjects are listed without numpy
 
-        if self.sd is None:
-            return estimates.share(round(self.value * self.trials), self.trials)[1:]
-        from scipy import stats
-
-        half = float(stats.t.ppf((1 + estimates.LEVEL) / 2, self.trials - 1)) * self.sd / math.sqrt(self.trials)
-        return self.value - half, self.value + half
+        if self.sd is not None:
+            return estimates.mean(self.value, self.sd, self.trials)[1:]
+        return estimates.share(round(self.value * self.trials), self.trials)[1:]
 
 
 class PaperColumn(NamedTuple):

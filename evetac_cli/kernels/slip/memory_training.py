@@ -38,8 +38,8 @@ from evetac_cli.kernels.slip.training import (
 Singles = NDArray[np.float32]
 CHUNK, STREAMS = 80, 32  # steps of a contact per step of the optimiser, and contacts at a time
 # Steps later than this after a slip began do not count: the object slides, and nothing is left to foresee. Learning
-# from whole trials kept the alarm on for .86 of the time of slides instead of .74 to .81, but at one false alarm per
-# minute it warned of .35 to .40 of slips 10 ms ahead instead of .52 to .55 (168 slips of seeds from 5,600).
+# from whole trials kept the alarm on for .86 of the time of slides instead of .80, but at one false alarm per minute it
+# warned of .35 of slips 10 ms ahead instead of .48 (one training each; 168 slips of seeds from 5,600).
 AFTER_MS = 60
 WITHOUT_GRIPPER = 0.3  # share of the contacts in which it is unknown, so that one model also works without
 CHECKPOINTS = 10
