@@ -43,7 +43,7 @@ SAYING = awk '/(Downloading|Using cached) .*MB\)/ {sub(/^ +/, ""); print "  " $$
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-all experiments demo strips true-slip-share paper-recipe \
+.PHONY: help setup setup-all experiments demo strips paper-recipe \
 	ship tracking vibration data-rate force grasp-table part-effects \
 	blind-identification force-sensors touch-cost mujoco-grasps lift-baseline results film test test-alone test-all test-lowest lerobot check lint types docs bench benchmark profile clean
 
@@ -78,10 +78,7 @@ experiments: $(KERNELS)  ## list the experiments with their sizes
 demo: $(KERNELS)  ## all steps from touch to grasp on a simulated sensor, in one to four minutes; results in demo/ (SIZES, JOBS)
 	@$(REPRODUCE) --only $@
 
-true-slip-share: $(KERNELS)  ## measure the benefit of training on the true slipping share of the contact
-	@$(REPRODUCE) --only $@
-
-paper-recipe: $(KERNELS)  ## train and evaluate slip detectors by the paper's recipe, and with one change at a time
+paper-recipe: $(KERNELS)  ## train and evaluate slip detectors by the paper's recipe
 	@$(REPRODUCE) --only $@
 
 ship: $(KERNELS)  ## train the pretrained slip detector on many motions, sensors and objects, and put it into the package

@@ -13,7 +13,7 @@ from scripts.reproduce.tables import Column, Evaluations, Table, having
 
 MODEL, HORIZON_MS = "fast-slow", 10  # whose first detections the paper shows
 OBJECT_OVER_TIME = "3"  # whose predictions over time the paper shows
-KNOWN, UNSEEN = "recipe-nothing-known", "recipe-nothing-unseen"
+KNOWN, UNSEEN = "recipe-known", "recipe-unseen"
 ALL = "all"  # in the column `object` of a row over all objects
 # Bins of t_m - t_c in words, and the last one, which has no end.
 BIN_WORDS = {

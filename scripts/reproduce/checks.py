@@ -8,13 +8,13 @@ from evetac_cli.jobs import Rows
 from scripts.reproduce.experiment import Check, Figure
 from scripts.reproduce.plan import STUDIES
 from scripts.reproduce.steps import Sizes
-from scripts.reproduce.tables import RECIPE_CHANGED, Evaluations, grasp_rows, object_rows
+from scripts.reproduce.tables import Evaluations, grasp_rows, object_rows
 
 # Sizes of the experiments of which a part is repeated; the others are repeated whole.
 SIZES: dict[str, Sizes] = {
     **{name: sizes for study in STUDIES for name, sizes in study.check_sizes.items()},
     "paper-recipe": {"test": 1},  # of 10 trajectories of each object
-    "tracking": {"edges": 5},  # of 50
+    "tracking": {"edges": 5, "others": 1},  # of 50 and 5
     "vibration": {"randomized": 2},  # of 20
     "grasp-table": {"trials": 1, "alone": 1},  # of 10 and 5
 }
@@ -24,10 +24,7 @@ def slip_trials(evaluations: Evaluations) -> Rows:
     """Return a row per model and trajectory of slip; the unit is the object."""
     rows: Rows = []
     for name, evaluation in evaluations.items():
-        _, _, rest = name.partition("recipe-")
-        change, _, role = rest.partition("-")
-        tags = {"change_words": RECIPE_CHANGED.get(change, change)} if change else {}
-        tags["objects_words"] = "trained on" if role == "known" else "unseen"
+        tags = {"objects_words": "trained on" if name == "recipe-known" else "unseen"}
         settings = {row["setting"]: row for row in evaluation.rows if "seeds" in row and "slip_correct" in row}
         for row in (row for row in evaluation.rows if "timing" in row and row["timing"] is not None):
             setting = settings[row["setting"]]
@@ -120,15 +117,11 @@ PAPER: dict[str, Check] = {
         ("objects_words", "model", "horizon_ms"), SLIP, slip_trials,
         training=("--model", "fast-slow", "--horizon-ms", "10"),
     ),
-    "paper-recipe-changes": Check(
-        ("change_words", "objects_words", "model"), SLIP, slip_trials, training=("--out", "models/size"),
-    ),
     "model-cost": Check(("setting",), unpromised=("time_us_median", "step_us_median", "pareto")),
     # A tenth has one trial of each object: the interval of a single object is wide.
     "slip-timing": Check(("object", "bin_words"), (Figure("share", count="slips"),)),
     "slip-by-object": Check(("object", "setting"), (Figure("slip_correct", count="trajectories"),)),
     "slip-over-time": Check(("model", "after_onset_ms")),  # one trajectory, in which one time follows from another
-    "true-slip-share": Check(("setting",), SLIP, slip_trials),
     "tracking-edge": Check(("preset",), (Figure("consistent", "trajectories"), Figure("dots_lost_mean")), edge_trials),
     "tracking-distance": Check(("scene", "gel", "preset"), (Figure("error_px_rms", squared=True),), distance_trials),
     "data-rate": Check(("object", "interval"), (Figure("share_mean"),), rate_trials),

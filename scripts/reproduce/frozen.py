@@ -25,10 +25,10 @@ from pathlib import Path, PurePosixPath
 ROOT = Path(__file__).resolve().parents[2]
 FILE = Path(__file__).with_name("frozen.json")
 FOLDERS = ("kernels", "sim", "data", "trials", "stages")  # of evetac_cli
-OF_SCRIPTS = ("scripts/slip-thresholds.json", "scripts/slip-oracles.json", "scripts/no-noise.sensor.toml")
+OF_SCRIPTS = ("scripts/studies/slip/thresholds.json", "scripts/studies/slip/oracles.json")
 FACTS = "evetac_cli/data/likeness.toml"  # public facts that figures are compared with; no method reads them
 SUFFIXES = (".py", ".toml", ".json", ".h5", ".npz")
-SEEDS = range(90_000, 100_000)  # of the trials that frozen methods are judged on
+SEEDS = range(100_000, 110_000)  # of the trials that frozen methods are judged on
 NAMED = 3  # most changed files that are named in words
 RULE = (
     f"every file with the suffix {', '.join(SUFFIXES)} in evetac_cli/{{{','.join(FOLDERS)}}},"

@@ -27,48 +27,31 @@ PAPER: tuple[Experiment, ...] = (
         tables=(tables.DEMO,),
     ),
     Experiment(
-        "true-slip-share", "benefit of training on the true slipping share of the contact",
-        "data/true-slip-share", 0.1,
-        full={
-            "seed": 8_000, "judged": 91_700, "known": "1-9", "unseen": "10-17", "train": 6, "validate": 2, "test": 5,
-            "seeds": 3, "model": "fast-slow", "horizon_ms": ("0", "10"), "steps": 5_000,
-        },
-        small={
-            "seed": 100, "judged": 1_000, "known": "3,8", "unseen": "11", "train": 1, "validate": 1, "test": 1,
-            "seeds": 1, "steps": 200,
-        },
-        steps=steps.true_share_steps,
-        evaluations=lambda sizes: {
-            "true-slip-share": evetac("evaluate", "slip", "unseen/*.features.h5", "--model", "models/*/*.model.h5"),
-        },
-        tables=(tables.TRUE_SLIP_SHARE,),
-    ),
-    Experiment(
-        "paper-recipe", "slip detection by the paper's recipe at full size, and with one change at a time",
-        "data/paper-recipe", 6.0, full=steps.RECIPE, small=steps.SMALL_RECIPE,
+        "paper-recipe", "slip detection by the paper's recipe at full size",
+        "data/paper-recipe", 4.0, full=steps.RECIPE, small=steps.SMALL_RECIPE,
         steps=steps.recipe_steps, evaluations=steps.recipe_evaluations,
-        tables=(tables.PAPER_RECIPE, tables.RECIPE_CHANGES, tables.MODEL_COST, *detections.TABLES),
+        tables=(tables.PAPER_RECIPE, tables.MODEL_COST, *detections.TABLES),
     ),
     Experiment(
         "tracking", "tracker presets compared on edges, slip and shear", "data/tracking", 2.0,
         full={
-            "seed": 92_000, "edges": 50,
+            "seed": 102_000, "edges": 50, "others": 5,
             "presets": ("unregularised", "paper", "paper-5-events", "official", "stable"),
         },
-        small={"seed": 100, "edges": 1, "presets": ("paper", "stable")},
+        small={"seed": 100, "edges": 1, "others": 1, "presets": ("paper", "stable")},
         steps=steps.tracking_steps, evaluations=steps.tracking_evaluations,
         tables=(tables.TRACKING_EDGE, tables.TRACKING_DISTANCE),
     ),
     Experiment(
         "data-rate", "bytes per second compared with an RGB sensor", "data/data-rate", 0.1,
-        full={"seed": 93_100, "objects": steps.DATA_RATE_OBJECTS, "trajectories": 5},
+        full={"seed": 103_100, "objects": steps.DATA_RATE_OBJECTS, "trajectories": 5},
         small={"seed": 100, "objects": ("1",), "trajectories": 1},
         steps=steps.data_rate_steps, evaluations=steps.data_rate_evaluations,
         tables=(tables.DATA_RATE,),
     ),
     Experiment(
         "vibration", "vibration frequency of the gel", "data/vibration", 1.0,
-        full={"seed": 93_000, "tones": (), "randomized": 20},
+        full={"seed": 103_000, "tones": (), "randomized": 20},
         small={"seed": 100, "tones": ("200",), "randomized": 1},
         steps=steps.vibration_steps, evaluations=steps.vibration_evaluations,
         tables=(tables.VIBRATION, tables.VIBRATION_RANDOMIZED),
@@ -83,7 +66,7 @@ PAPER: tuple[Experiment, ...] = (
     Experiment(
         "grasp-table", "lift and balance by feel, with all controllers", "data/grasps", 3.0,
         full={
-            "seed": 94_000, "objects": "10-18", "trials": 10, "alone": 5, "settings": tuple(steps.GRASP_SETTINGS),
+            "seed": 104_000, "objects": "10-18", "trials": 10, "alone": 5, "settings": tuple(steps.GRASP_SETTINGS),
         },
         small={
             "seed": 100, "objects": "11", "trials": 1, "alone": 1,

@@ -49,39 +49,21 @@ def demo_evaluations(sizes: Sizes) -> dict[str, Command]:
     }
 
 
-def true_share_steps(sizes: Sizes) -> Iterator[Command]:
-    """Run the same trainings on labels alone, and with the true slipping share of the contact in addition."""
-    roles = (("learn", "known", "train", sizes["seed"]), ("choose", "known", "validate", sizes["seed"] + 500),
-             ("unseen", "unseen", "test", sizes["judged"]))  # fmt: skip
-    for folder, objects, count, seed in roles:
-        yield evetac("record", "--scene", "slip", "--object", sizes[objects], "--count", sizes[count], "--seed", seed,
-                     "--out", folder)  # fmt: skip
-        yield evetac("label", f"{folder}/*.recording.h5")
-        yield evetac("track", f"{folder}/*.recording.h5")
-        share = ("--true-slip-share",) if folder == "learn" else ()
-        yield evetac("featurize", f"{folder}/*.recording.h5", *share)
-    for horizon_ms in sizes["horizon_ms"]:
-        for folder, words in (("labels", ()), ("truth", ("--learn-true-slip-share",))):
-            yield evetac("train", "learn/*.features.h5", "--model", sizes["model"], "--horizon-ms", horizon_ms, *words,
-                         "--preset", "adamw", "--max-steps", sizes["steps"], "--validate", "choose",
-                         "--seed", sizes["seed"], "--seeds", sizes["seeds"], "--out", f"models/{folder}")  # fmt: skip
-
-
 RECIPE: Sizes = {
     "seed": 9_000,  # of the trajectories for training; 500 later: those on which checkpoint and threshold are chosen
-    "judged": 91_000,  # of the trajectories for evaluation, known objects; 500 later: unseen objects
+    "judged": 100_000,  # of the trajectories for evaluation, known objects; 500 later: unseen objects
     "known": "1-9",
     "unseen": "10-17",
     "train": 35,  # of each object: 315 for training, and 45 on which checkpoint and threshold are chosen
     "choose": 5,
     "test": 10,
-    "models": ("fast-slow", "hist20", "hist10", "no-hist", "events-only", "disp-only", "down5"),
-    "ahead": ("fast-slow", "hist20"),  # models that are also trained to warn
+    "models": ("no-hist", "hist10", "events-only", "disp-only", "down5", "hist20", "fast-slow"),
+    "ahead": ("hist20", "fast-slow"),  # models that are also trained to warn
     "horizon_ms": ("10", "20"),
-    "seeds": 5,
+    "seeds": 2,  # of training
+    "headlines": ("fast-slow",),  # models that headlines name: trained with more seeds, now and 10 ms ahead
+    "headline_seeds": 5,
     "steps": 150_000,  # upper limit of steps, for 70 epochs
-    "changes": ("tracker", "labels", "size", "noise"),
-    "change_seeds": 2,
 }
 SMALL_RECIPE: Sizes = {
     "seed": 100,
@@ -94,75 +76,43 @@ SMALL_RECIPE: Sizes = {
     "models": ("fast-slow",),
     "ahead": (),
     "seeds": 1,
+    "headlines": (),
     "steps": 200,
-    "changes": ("tracker", "size"),
-    "change_seeds": 1,
 }
-CHANGED_MODEL = "fast-slow"  # the model that is trained for changed settings
-FEWER = ("*-00[1-9]", "*-01[0-2]")  # of 35 trajectories per object, when their number is varied
-FIRST_SEEDS = 2  # of training; all models and changes are trained with these before the other seeds follow
 
 
 def recipe_steps(sizes: Sizes) -> Iterator[Command]:
-    """Run the paper's recipe (tracker, labels, numbers of trajectories, training), then change one at a time."""
+    """Run the paper's recipe: tracker, labels, numbers of trajectories, training."""
     seed, judged = sizes["seed"], sizes["judged"]
     roles = (("learn", "known", "train", seed), ("choose", "known", "choose", seed + 500),
              ("known", "known", "test", judged), ("unseen", "unseen", "test", judged + 500))  # fmt: skip
-    learnt = "nothing/learn/*.features.h5"
-    for change in ("nothing", *sizes["changes"]):
-        if change == "size":  # trains on a subset of the trajectories
-            features = [f"nothing/learn/{name}.features.h5" for name in FEWER]
-            yield from _recipe_trainings(sizes, "nothing", change, sizes["change_seeds"], *features)
-            continue
-        recordings = "quiet" if change == "noise" else "recordings"
-        tracker = "stable" if change == "tracker" else "paper"
-        labels = "event-flow" if change == "labels" else "farneback"
-        for role, objects, count, first in roles:
-            here = f"{recordings}/{role}/*.recording.h5"
-            if change in ("nothing", "noise"):
-                sensor = ROOT / "scripts" / "paper/no-noise.sensor.toml" if change == "noise" else "evetac"
-                yield evetac("record", "--scene", "slip", "--sensor", sensor, "--object", sizes[objects],
-                             "--count", sizes[count], "--seed", first, "--out", f"{recordings}/{role}")  # fmt: skip
-            of_labels, of_tracks = (f"{recordings}/{how}/{role}" for how in (labels, tracker))
-            yield evetac("label", here, "--method", labels, "--out", of_labels)
-            yield evetac("track", here, "--preset", tracker, "--out", of_tracks)
-            yield evetac("featurize", here, "--tracks", of_tracks, "--labels", of_labels, "--out", f"{change}/{role}")
-        if change == "nothing":
-            yield from _recipe_trainings(sizes, change, change, min(FIRST_SEEDS, sizes["seeds"]), learnt)
-        else:
-            learnt_changed = f"{change}/learn/*.features.h5"
-            yield from _recipe_trainings(sizes, change, change, sizes["change_seeds"], learnt_changed)
-    if sizes["seeds"] > FIRST_SEEDS:
-        others = sizes["seeds"] - FIRST_SEEDS
-        yield from _recipe_trainings(sizes, "nothing", "nothing", others, learnt, first=FIRST_SEEDS)
-
-
-def _recipe_trainings(
-    sizes: Sizes, features: str, change: str, seeds: int, *learnt: str, first: int = 0
-) -> Iterator[Command]:
-    trained: list[tuple[str, ...]] = [(CHANGED_MODEL,)]
-    if change == "nothing":
-        trained = [(model,) for model in sizes["models"]]
-        trained += [(model, "--horizon-ms", ms) for model in sizes["ahead"] for ms in sizes["horizon_ms"]]
-    for words in trained:
-        yield evetac("train", *learnt, "--model", *words, "--preset", "paper", "--max-steps", sizes["steps"],
-                     "--validate", f"{features}/choose", "--seed", sizes["seed"] + first, "--seeds", seeds,
-                     "--out", f"models/{change}")  # fmt: skip
+    for role, objects, count, first in roles:
+        recordings = f"recordings/{role}"
+        here, labels, tracks = f"{recordings}/*.recording.h5", f"{recordings}/labels", f"{recordings}/tracks"
+        yield evetac("record", "--scene", "slip", "--object", sizes[objects], "--count", sizes[count],
+                     "--seed", first, "--out", recordings)  # fmt: skip
+        yield evetac("label", here, "--method", "farneback", "--out", labels)
+        yield evetac("track", here, "--preset", "paper", "--out", tracks)
+        yield evetac("featurize", here, "--tracks", tracks, "--labels", labels, "--out", f"features/{role}")
+    seeds, more = sizes["seeds"], sizes["headline_seeds"] - sizes["seeds"]
+    trained = [(model, "0", 0, seeds) for model in sizes["models"]]
+    trained += [(model, ms, 0, seeds) for model in sizes["ahead"] for ms in sizes["horizon_ms"]]
+    trained += [(model, ms, seeds, more) for model in sizes["headlines"] for ms in ("0", "10")]
+    for model, horizon_ms, first, count in trained:
+        yield evetac("train", "features/learn/*.features.h5", "--model", model, "--horizon-ms", horizon_ms,
+                     "--preset", "paper", "--max-steps", sizes["steps"], "--validate", "features/choose",
+                     "--seed", sizes["seed"] + first, "--seeds", count, "--out", "models/recipe")  # fmt: skip
 
 
 def recipe_evaluations(sizes: Sizes) -> dict[str, Command]:
-    """Evaluate each training with its own tracker and labels on the same slips; then measure run times."""
+    """Evaluate all networks on the same slips; then measure run times."""
     evaluations = {
-        f"recipe-{change}-{role}": evetac(
-            "evaluate", "slip", f"{'nothing' if change == 'size' else change}/{role}/*.features.h5",
-            "--model", f"models/{change}/*.model.h5",
-            "--recordings", f"{'quiet' if change == 'noise' else 'recordings'}/{role}",
-        )
-        for change in ("nothing", *sizes["changes"])
+        f"recipe-{role}": evetac("evaluate", "slip", f"features/{role}/*.features.h5",
+                                 "--model", "models/recipe/*.model.h5", "--recordings", f"recordings/{role}")
         for role in ("known", "unseen")
     }  # fmt: skip
-    evaluations["model-cost"] = evetac("evaluate", "cost", "model", "recipe-nothing-unseen.report.h5",
-                                       "--model", "models/nothing/*.model.h5")  # fmt: skip
+    evaluations["model-cost"] = evetac("evaluate", "cost", "model", "recipe-unseen.report.h5",
+                                       "--model", "models/recipe/*.model.h5")  # fmt: skip
     return evaluations
 
 
@@ -178,10 +128,9 @@ TRACKING_SCENES = (
 
 
 def tracking_steps(sizes: Sizes) -> Iterator[Command]:
-    count = {"edge-cut": sizes["edges"], "edge-closed": min(sizes["edges"], 5)}
     for name, words in TRACKING_SCENES:
-        counted = ("--count", count[name]) if name in count else ()
-        yield evetac("record", *words, *counted, "--seed", sizes["seed"], "--out", name)
+        count = sizes["edges"] if name == "edge-cut" else sizes["others"]  # slip: of each object
+        yield evetac("record", *words, "--count", count, "--seed", sizes["seed"], "--out", name)
         for preset in sizes["presets"]:
             yield evetac("track", f"{name}/*.recording.h5", "--preset", preset, "--out", f"{name}/{preset}")
 
@@ -225,21 +174,22 @@ def data_rate_evaluations(sizes: Sizes) -> dict[str, Command]:
 
 FORCE: Sizes = {
     "seed": 8_700,  # of the trajectories for training
-    "judged": 93_500,
+    "judged": 103_500,
     "trackers": ("paper", "paper-5-events", "stable"),
-    "seeds": 3,
-    "trials": 3,
+    "seeds": 5,
+    "trials": 10,
     "others": ("second", "soft-gel", "stiff-gel"),
 }
 
 
 def force_steps(sizes: Sizes) -> Iterator[Command]:
-    """Record force trajectories; the first one for evaluation has the same pushes on every gel."""
+    """Record force trajectories; those for evaluation have the same pushes on every gel."""
     yield evetac("record", "--scene", "shear", "--count", 4, "--seed", sizes["seed"], "--out", "learn")
     yield evetac("record", "--scene", "shear", "--count", sizes["trials"], "--seed", sizes["judged"],
                  "--out", "unseen")  # fmt: skip
     for other in sizes["others"]:
-        yield evetac("record", "--scene", "shear", "--sensor", other, "--seed", sizes["judged"], "--out", other)
+        yield evetac("record", "--scene", "shear", "--sensor", other, "--count", sizes["trials"],
+                     "--seed", sizes["judged"], "--out", other)  # fmt: skip
     folders = ("learn", "unseen", *sizes["others"])
     for folder in folders:
         for tracker in sizes["trackers"]:
@@ -264,7 +214,7 @@ def force_evaluations(sizes: Sizes) -> dict[str, Command]:
 FROZEN_MODELS = ROOT / "docs" / "results" / "models"
 PAPER_DETECTOR = (
     "--model",
-    FROZEN_MODELS / "nothing" / "fast-slow-10ms-s9000.model.h5",
+    FROZEN_MODELS / "recipe" / "fast-slow-10ms-s9000.model.h5",
 )  # of the experiment paper-recipe
 # Controller and detector of each row of the grasp tables. A model trained by the paper's recipe has the threshold of
 # the paper's rule unless a number of false alarms is given.

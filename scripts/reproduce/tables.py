@@ -90,9 +90,7 @@ def recipe_rows(evaluations: Evaluations) -> Rows:
     """Return the rows of `slip_rows`, with the change to the recipe and the objects used for evaluation."""
     rows = []
     for name, evaluation in evaluations.items():
-        _, change, role = name.split("-")
-        what = {"change": change, "change_words": RECIPE_CHANGED.get(change, change)}
-        what["objects_words"] = "trained on" if role == "known" else "unseen"
+        what = {"objects_words": "trained on" if name == "recipe-known" else "unseen"}
         for row in slip_rows({name: evaluation}):
             by_object = {
                 one["object"]: {"slip_correct": one["slip_correct"], "f1": one["f1"]}
@@ -108,12 +106,6 @@ def cost_rows(evaluations: Evaluations) -> Rows:
     return [{**row, "pareto": "yes" if row["pareto_timing"] or row["pareto_f1"] else ""} for row in rows]
 
 
-RECIPE_CHANGED = {
-    "tracker": "tracker `stable`",
-    "labels": "labels `event-flow`",
-    "size": "12 trajectories of each object",
-    "noise": "a sensor without noise",
-}
 SLIP_COLUMNS = (
     Column("model", "{setting}"),
     Column("seeds", "{seeds}"),
@@ -130,10 +122,6 @@ SLIP_COLUMNS = (
 INTERVAL_NOTE = (
     "By object: 95 % interval from resampling objects (and sensors, where there are several), the means over seeds;"
     " the sd beside it is over objects and seeds, like the paper's bars."
-)
-TRUTH_NOTE = (
-    "Rows with `true slip share` were also trained on the share of the visible contact that slips, from the"
-    " simulation's ground truth (truth), which no real sensor provides."
 )
 
 
@@ -271,35 +259,17 @@ DEMO = Table(
     (Column("what", "{what}"), Column("figure", "{figure}")),
 )
 
-TRUE_SLIP_SHARE = Table(
-    "true-slip-share",
-    "Effect of training on the true share of the contact that slips: {recordings} trajectories of objects {objects},"
-    " trained on objects {training_objects} for {training_steps} steps",
-    ("true-slip-share",),
-    slip_rows,
-    SLIP_COLUMNS,
-    notes=(TRUTH_NOTE,),
-)
-
 PAPER_RECIPE = Table(
     "paper-recipe",
     "The paper's recipe: networks trained, and their thresholds chosen, on {training_recordings} trajectories of"
     " objects {training_objects}, for at most {training_steps} steps",
-    ("recipe-nothing-known", "recipe-nothing-unseen"),
+    ("recipe-known", "recipe-unseen"),
     recipe_rows,
     (Column("objects", "{objects_words}"), *SLIP_COLUMNS),
     notes=(
         "The paper's tracker, labels by Farneback's flow, training and choice of threshold, at the paper's sizes.",
         INTERVAL_NOTE,
     ),
-)
-RECIPE_CHANGES = Table(
-    "paper-recipe-changes",
-    "The paper's recipe with one thing changed, trainings of at most {training_steps} steps",
-    tuple(f"recipe-{change}-{role}" for change in RECIPE_CHANGED for role in ("known", "unseen")),
-    recipe_rows,
-    (Column("changed", "{change_words}"), Column("objects", "{objects_words}"), *SLIP_COLUMNS),
-    notes=("Rows with other labels are also evaluated against these labels.",),
 )
 
 MODEL_COST = Table(
