@@ -6,13 +6,15 @@ They come from the same reports of `evaluate slip` as the table of the paper's r
 
 import numpy as np
 
+from evetac_cli.evaluate.common.rows import mean
 from evetac_cli.evaluate.slip.tables import TIMING_BINS
+from evetac_cli.evaluate.subject import grouped
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels import estimates
+from scripts.paper.rows import BY_UNIT
 from scripts.reproduce.tables import Column, Evaluations, Table, having
 
 MODEL, HORIZON_MS = "fast-slow", 10  # whose first detections the paper shows
-OBJECT_OVER_TIME = "3"  # whose predictions over time the paper shows
 KNOWN, UNSEEN = "recipe-known", "recipe-unseen"
 ALL = "all"  # in the column `object` of a row over all objects
 # Bins of t_m - t_c in words, and the last one, which has no end.
@@ -90,13 +92,19 @@ def slip_object_rows(evaluations: Evaluations) -> Rows:
 
 
 def over_time_rows(evaluations: Evaluations) -> Rows:
-    """Return the predictions over time on the paper's object, of the networks that do not predict ahead."""
+    """Return the predictions over time of the networks that do not predict ahead, means over objects."""
     settings = {row["setting"]: row for row in having(evaluations, "setting", "seeds") if not row["horizon_ms"]}
-    rows = [row for row in having(evaluations, "after_onset_ms") if row["object"] == OBJECT_OVER_TIME]
     what = ("model", "horizon_ms", "preset", "seeds")
-    return [
-        {**row, **{key: settings[row["setting"]][key] for key in what}} for row in rows if row["setting"] in settings
-    ]
+    known = [row for row in having(evaluations, "after_onset_ms") if row["setting"] in settings and row["predictions"]]
+    rows = []
+    for of_objects in grouped(known, ("setting", "after_onset_ms")):
+        by_object = {row["object"]: {"detected_share": row["detected_share"]} for row in of_objects}
+        means = {key: mean(row[key] for row in of_objects) for key in ("probability_mean", "detected_share")}
+        first, count = of_objects[0], sum(row["predictions"] for row in of_objects)
+        setting = {key: settings[first["setting"]][key] for key in what}
+        counts = {"predictions": count, "objects": len(by_object), BY_UNIT: by_object}
+        rows.append({**setting, "after_onset_ms": first["after_onset_ms"], **counts, **means})
+    return rows
 
 
 SLIP_TIMING = Table(
@@ -122,13 +130,13 @@ SLIP_BY_OBJECT = Table(
 
 SLIP_OVER_TIME = Table(
     "slip-over-time",
-    f"Predictions over time about the onset in the labels, object {OBJECT_OVER_TIME}: mean probability of slip, share"
-    " of trajectories and seeds above the network's threshold, and their number",
+    "Predictions over time about the onset in the labels, objects {objects}: mean probability of slip, share of"
+    " trajectories and seeds above the network's threshold, and their number",
     (KNOWN,),
     over_time_rows,
     (Column("network", "{model}"), Column("seeds", "{seeds}")),
     across=Column("{after_onset_ms:+d} ms", "{probability_mean:.2f}, {detected_share:.0%} of {predictions}"),
-    notes=("The paper's figure shows a single trajectory. Labels end 20 ms after the onset; predictions go on.",),
+    notes=("The paper shows a single trajectory, of object 3. Labels end 20 ms after the onset; predictions go on.",),
 )
 
 TABLES = (SLIP_TIMING, SLIP_BY_OBJECT, SLIP_OVER_TIME)

@@ -4,7 +4,19 @@ import string
 from pathlib import Path
 
 from evetac_cli.jobs import Row, Rows
-from scripts.paper.rows import ERROR, NOT_APPLICABLE, NOT_YET, STILL, counts, filled, is_informative, read
+from scripts.paper.rows import (
+    ERROR,
+    NOT_APPLICABLE,
+    NOT_YET,
+    STILL,
+    by_number,
+    counts,
+    filled,
+    is_informative,
+    read,
+    row_of,
+)
+from scripts.paper.ten import TEN, by_own_method, counted
 from scripts.paper.verdicts import DIFFERENT, UNDECIDED, VERDICTS
 from scripts.reproduce.table_text import as_table
 
@@ -42,6 +54,27 @@ def _by_verdict(entries: Rows) -> str:
     """Return the number of entries for each verdict in words."""
     found = counts(entries)
     return ", ".join(f"{found.get(name, 0)} {verb}" for name, verb in zip(VERDICTS, VERBS, strict=True))
+
+
+def as_ten(results: Path) -> str:
+    """Return the ten rows: the paper's figure, evetac's by the same method and by its own."""
+    entries = by_number(filled(read(), results)["rows"])
+    lines = []
+    for row in TEN:
+        one = entries[row.number]
+        found = one["computed"]
+        shown = [row.what + _older(one, results), _paper(one), _ours(one)]
+        known = found["verdict"] != NOT_YET
+        about = [counted(row, one, results), by_own_method(row, one, results)] if known else ["", ""]
+        lines.append([*shown, about[0], found.get("mark") or "", found["verdict"], about[1]])
+    heading = ["what", "paper", "evetac by the paper's method", "n", "mark", "verdict", "evetac's own method"]
+    return as_table(heading, lines) + "\n"
+
+
+def _older(entry: Row, results: Path) -> str:
+    """Return the commit of a table that was made before the freeze, in words; empty for a frozen one."""
+    table, _ = row_of(results, entry["table"], entry["row"])
+    return "" if table.get("frozen") else f" (before the freeze, {table['made']})"
 
 
 def as_topics(results: Path) -> str:
@@ -114,6 +147,7 @@ def _ours(entry: Row) -> str:
 
 PAGES = {
     "paper-answer": as_answer,
+    "paper-ten": as_ten,
     "paper-topics": as_topics,
     "paper-differs": as_missed,
     "paper-figures": as_figures,

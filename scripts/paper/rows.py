@@ -45,7 +45,9 @@ SAME, OTHER = marks.SAME, marks.METHOD
 VERDICTS = (*verdicts.VERDICTS, SAME, OTHER, NOT_APPLICABLE)
 NOT_YET = "no table yet"
 SHARES = ("share", "share (most)", "F1")  # units in which 0 and 1 are the ends
-BY_OBJECT = "by_object"  # field of a table: the figures of its row for each object
+# Field of a table: the figures of its row for each unit that is resampled, an object or a trajectory. Trajectories of
+# one object are named OBJECT/TRAJECTORY, and resampled with their object.
+BY_UNIT = "by_unit"
 DISTANCE, ERROR, STILL = "tracking-distance", "error_px_rms", "still_px_rms"
 
 
@@ -110,10 +112,16 @@ def ours(entry: Row, rows: Mapping[str, Row], results: Path = RESULTS, *, need_i
     if "derived" in entry:
         ((how, (above, below)),) = entry["derived"].items()
         first, second = (ours(rows[number], rows, results, need_interval=False) for number in (above, below))
-        ratio = first.value / second.value
         both = [one.mark for one in (first, second) if one.mark is not None]
         mark = min(both, key=marks.MARKS.index, default=None)
-        return Ours(ratio if how == "ratio" else 1 - ratio, mark=mark)
+        units = [_by_unit(rows[number], results) for number in (above, below)]
+        ratio = Ours(first.value / second.value)
+        if units[0] and units[0].keys() == units[1].keys():
+            found = verdicts.paired_ratio(*units)
+            ratio = Ours(ratio.value, found.low, found.high)
+        if how == "ratio" or ratio.low is None or ratio.high is None:
+            return ratio._replace(mark=mark, value=ratio.value if how == "ratio" else 1 - ratio.value)
+        return Ours(1 - ratio.value, 1 - ratio.high, 1 - ratio.low, mark)
     result, row = row_of(results, entry["table"], entry["row"])
     if row.get(entry["field"]) is None:
         raise Awaited(f"{entry['table']}: no field {entry['field']}")
@@ -134,10 +142,21 @@ def _mark(entry: Row, row: Row, result: Row) -> str | None:
 
 
 def _interval(entry: Row, row: Row, *, need_interval: bool) -> tuple[float | None, float | None]:
-    """Return the ends of an interval: two fields, a share of a number of trials (Wilson), or a mean (Student)."""
+    """Return the ends of an interval.
+
+    They are two fields, those of a share of a number of trials (Wilson), of a mean with its sd (Student), or of the
+    "mean", "rms" or "median" of units that are resampled. "exact" is a run time, which is that of one computer.
+    """
     how = entry.get("interval")
     if how is None:
         return None, None
+    if how == "exact":
+        return 2 * (float(row[entry["field"]]),)
+    if isinstance(how, str):
+        units = {name: one[entry["field"]] for name, one in row.get(BY_UNIT, {}).items()}
+        if not units and need_interval:
+            raise Awaited(f"{entry['table']}: no field {BY_UNIT}")
+        return verdicts.of_units(units, how)[1:] if units else (None, None)
     fields = how if isinstance(how, list) else list(how.values())
     if missing := [name for name in fields if row.get(name) is None]:
         if need_interval:
@@ -156,7 +175,7 @@ def compared(claim: Row, entry: Row, rows: Mapping[str, Row], results: Path = RE
 
     A claim is that a figure is `above` or `below` another one: that of another entry (`row`), of another row of its
     table (`select`), or of another field (`field`), or so many `times` it. With `than` it is compared with a number
-    that the paper states. Figures that their tables also have by object, on the same objects, are compared in pairs.
+    that the paper states. Figures that their tables also have by unit, for the same units, are compared in pairs.
     """
     sign, times = 1 if claim["is"] == "above" else -1, claim.get("times", 1.0)
     mine = ours(entry, rows, results, need_interval=False).estimate
@@ -164,7 +183,7 @@ def compared(claim: Row, entry: Row, rows: Mapping[str, Row], results: Path = RE
         other: Estimate | None = Estimate(*3 * (claim["than"],))
     else:
         against = rows[claim["row"]] if "row" in claim else _changed(entry, claim)
-        first, second = _by_object(entry, results), _by_object(against, results)
+        first, second = _by_unit(entry, results), _by_unit(against, results)
         if first and first.keys() == second.keys():
             scaled = {name: times * figure for name, figure in second.items()}
             return verdicts.of_comparison(verdicts.paired(first, scaled), sign)
@@ -181,12 +200,12 @@ def _changed(entry: Row, claim: Row) -> Row:
     return {**other, "row": entry["row"] | claim.get("select", {}), "field": claim.get("field", entry["field"])}
 
 
-def _by_object(entry: Row, results: Path) -> dict[str, float]:
-    """Return an entry's figure by object; empty where its table does not have it, or has an object without it."""
+def _by_unit(entry: Row, results: Path) -> dict[str, float]:
+    """Return an entry's figure by unit; empty where its table does not have it, or has a unit without it."""
     if "table" not in entry:
         return {}
     _, row = row_of(results, entry["table"], entry["row"])
-    found = {name: figures.get(entry["field"]) for name, figures in row.get(BY_OBJECT, {}).items()}
+    found = {name: figures.get(entry["field"]) for name, figures in row.get(BY_UNIT, {}).items()}
     return {} if None in found.values() else found
 
 
@@ -266,7 +285,8 @@ def needed(table: str) -> set[str]:
         if entry.get("table") != table:
             continue
         how = entry.get("interval") or []
-        fields |= {entry["field"], BY_OBJECT, *entry["row"], *(how if isinstance(how, list) else how.values())}
+        named = how.values() if isinstance(how, dict) else how if isinstance(how, list) else ()
+        fields |= {entry["field"], BY_UNIT, *entry["row"], *named}
         for claim in entry.get("direction", []):
             fields |= {*claim.get("select", {}), *([claim["field"]] if "field" in claim else [])}
         if "column" in entry:

@@ -7,9 +7,10 @@ measures, 2008), which for means is close to Welch's test. A figure that the pap
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evetac_cli.kernels import estimates
 from evetac_cli.kernels.estimates import Estimate
@@ -28,14 +29,39 @@ def difference(first: Estimate, second: Estimate) -> Estimate:
 
 
 def paired(first: Mapping[str, float], second: Mapping[str, float]) -> Estimate:
-    """Return the mean of the first less the second over objects, (figure by object), from resampling these.
+    """Return the mean of the first less the second over units, (figure by unit), from resampling these.
 
     Both are judged on the same trials, so what makes an object hard for both does not widen the interval.
     """
-    off = np.array([first[name] - second[name] for name in first])
-    found = estimates.ratio_of_clusters(off, np.ones(len(off)), estimates.cluster_weights(list(first)))
+    return of_units({name: first[name] - second[name] for name in first}, "mean")
+
+
+def paired_ratio(first: Mapping[str, float], second: Mapping[str, float]) -> Estimate:
+    """Return the ratio of the means of the first and the second over units, from resampling these."""
+    above, below = (np.array([one[name] for name in first]) for one in (first, second))
+    found = estimates.ratio_of_clusters(above, below, _weights(first))
     assert found is not None
     return found
+
+
+def of_units(figures: Mapping[str, float | None], how: str) -> Estimate:
+    """Return the "mean", "rms" or "median" of a figure that units have, from resampling these.
+
+    Units without the figure do not count. Those named GROUP/UNIT are resampled with their group.
+    """
+    known = {name: figure for name, figure in figures.items() if figure is not None}
+    values, weights = np.array(list(known.values()), np.float64), _weights(known)
+    if how == "median":
+        samples = [np.median(np.repeat(values, one)) for one in weights.astype(int)]
+        return estimates.of_samples(float(np.median(values)), np.array(samples))
+    power = 2 if how == "rms" else 1
+    found = estimates.ratio_of_clusters(values**power, np.ones(len(values)), weights)
+    assert found is not None
+    return Estimate(*(math.copysign(abs(end) ** (1 / power), end) for end in found))
+
+
+def _weights(units: Iterable[str]) -> NDArray[np.float64]:
+    return estimates.cluster_weights([name.partition("/")[0] for name in units])
 
 
 def of_figures(found: Estimate, margin: Margin) -> str:

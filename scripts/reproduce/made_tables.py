@@ -12,6 +12,7 @@ from evetac_cli.evaluate import PAPER
 from evetac_cli.evaluate.common.marks import Source
 from evetac_cli.jobs import Row, Rows
 from scripts.paper import rows as paper_rows
+from scripts.paper import ten
 from scripts.reproduce.facts import Refusal, commit_facts, facts, machine, methods, of_freeze, words_for
 from scripts.reproduce.table_text import fill, keys
 from scripts.reproduce.tables import Column, Evaluation, Table
@@ -23,7 +24,7 @@ def shown_rows(table: Table, rows: list[Row]) -> list[Row]:
     """Return the figures that the table shows (all for a measured one) and the keys of the paper's figures."""
     columns = [*table.columns, *([table.across] if table.across else [])]
     wanted = {key for column in columns for part in (column.heading, column.cell, column.paper) for key in keys(part)}
-    wanted |= {"evaluation", *paper_rows.needed(table.name)}
+    wanted |= {"evaluation", *paper_rows.needed(table.name), *ten.needed(table.name)}
     for key in wanted & PAPER.columns.keys():
         wanted |= {*PAPER.columns[key].needs, *PAPER.columns[key].may_need}
     return [{key: value for key, value in row.items() if table.measured or key in wanted} for row in rows]

@@ -3,7 +3,6 @@
 from scripts.paper import detections
 from scripts.reproduce import steps, tables
 from scripts.reproduce.experiment import Experiment
-from scripts.reproduce.steps import evetac
 from scripts.studies.labels import judge as labels
 from scripts.studies.likeness import tables as likeness
 from scripts.studies.parts import effects
@@ -70,7 +69,7 @@ PAPER: tuple[Experiment, ...] = (
         },
         small={
             "seed": 100, "objects": "11", "trials": 1, "alone": 1,
-            "settings": ("paper-pretrained", "load-proportional"),
+            "settings": ("load-proportional",),
         },
         steps=steps.grasp_steps, evaluations=steps.grasp_evaluations,
         tables=(tables.GRASPS, tables.GRASPS_BY_OBJECT, tables.GRASP_ROBUSTNESS),

@@ -4,10 +4,10 @@
     python scripts/reproduce/results.py --show slip-by-object     # prints one table, also one that no page has
 
 Two comments in a page mark the position of a table: `<!-- table NAME -->` and `<!-- end of NAME -->`. The text made
-from docs/results/NAME.json is written between them; pages have only some of the tables. The README's table `summary`
-takes one cell from each of several tables. studies/likeness/tables.py makes the tables of docs/evidence/likeness.md.
-Tables of run times, in measured/, have their own mark, `<!-- measured NAME -->`. `freeze` marks the sentences on the
-frozen commit, with the number of frozen files that have changed since.
+from docs/results/NAME.json is written between them; pages have only some of the tables. scripts/paper/page.py makes
+those of docs/evidence/paper.md and README's, studies/likeness/tables.py those of docs/evidence/likeness.md. Tables of
+run times, in measured/, have their own mark, `<!-- measured NAME -->`. `freeze` marks the sentences on the frozen
+commit, with the number of frozen files that have changed since.
 """
 
 import argparse
@@ -17,11 +17,10 @@ from pathlib import Path
 
 from scripts.paper.page import PAGES as OF_PAPER
 from scripts.paper.rows import read as paper_rows
-from scripts.paper.summary import SUMMARY
 from scripts.reproduce import frozen
 from scripts.reproduce.facts import RESULTS, ROOT, made_on
 from scripts.reproduce.plan import STUDIES
-from scripts.reproduce.table_text import Result, as_table, fill, measured_text, published, text
+from scripts.reproduce.table_text import Result, measured_text, text
 
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted((DOCS / "evidence").glob("*.md"))]
@@ -29,23 +28,6 @@ MEASURED = "measured"  # folder of the tables of run times, and the word of thei
 FREEZE = "freeze"  # the sentences on the frozen commit, which are no table
 # Tables of pages that are made from rows of another form, in docs/results/likeness or scripts/paper/rows.json.
 OF_ROWS = {**OF_PAPER, **{name: made for study in STUDIES for name, made in study.pages.items()}}
-
-
-def summary(results: Path) -> str:
-    """Return the table `summary`: figures chosen from several tables, with their number of trials and the paper's.
-
-    A row of a table that was made before the freeze says so, with its commit.
-    """
-    rows = []
-    for figure in SUMMARY:
-        result = json.loads((results / f"{figure.table}.json").read_text())
-        (row,) = (each for each in result["rows"] if figure.row.items() <= each.items())
-        columns = [*result["columns"], *([result["across"]] if result["across"] else [])]
-        (column,) = (each for each in columns if each["heading"] == figure.heading)
-        older = "" if result.get("frozen") else f" (before the freeze, {result['made']})"
-        what, ours, n = figure.what.format(**row) + older, fill(column["cell"], row), figure.n.format(**row)
-        rows.append([what, ours, n, *published(column, row, result)])
-    return "\n" + as_table(["what", "simulated", "n", "paper", "compared"], rows) + "\n"
 
 
 def made_from(name: str, results: Path, *, measured: bool = False) -> tuple[str, list[Result]]:
@@ -61,8 +43,6 @@ def made_from(name: str, results: Path, *, measured: bool = False) -> tuple[str,
     if name == FREEZE:
         freeze = frozen.read()
         return frozen.in_words(freeze, frozen.changed(freeze)) + "\n", []
-    if name == "summary":
-        return summary(results), [read(figure.table) for figure in SUMMARY]
     if name in OF_ROWS:
         if name in OF_PAPER:
             tables = sorted({row["table"] for row in paper_rows()["rows"] if "table" in row})

@@ -177,7 +177,7 @@ FORCE: Sizes = {
     "judged": 103_500,
     "trackers": ("paper", "paper-5-events", "stable"),
     "seeds": 5,
-    "trials": 10,
+    "trials": 5,
     "others": ("second", "soft-gel", "stiff-gel"),
 }
 
@@ -217,17 +217,12 @@ PAPER_DETECTOR = (
     FROZEN_MODELS / "recipe" / "fast-slow-10ms-s9000.model.h5",
 )  # of the experiment paper-recipe
 # Controller and detector of each row of the grasp tables. A model trained by the paper's recipe has the threshold of
-# the paper's rule unless a number of false alarms is given.
+# the paper's rule.
 GRASP_SETTINGS: dict[str, Command] = {
     "paper": ["--controller", "paper", *map(str, PAPER_DETECTOR), "--tracker", "paper"],
-    "paper-stable": ["--controller", "paper", *map(str, PAPER_DETECTOR)],
-    "paper-stable-false-alarms": ["--controller", "paper", *map(str, PAPER_DETECTOR), "--false-alarms-per-min", "4"],
-    "paper-pretrained": ["--controller", "paper", "--model", "shipped"],
-    "reset-stable": ["--controller", "paper-reset", *map(str, PAPER_DETECTOR)],
+    "paper-reset": ["--controller", "paper-reset", *map(str, PAPER_DETECTOR), "--tracker", "paper"],
     "load-proportional": ["--controller", "load-proportional", "--model", "shipped"],
 }
-# Those of the tests of robustness.
-ROBUST_SETTINGS = ("paper", "paper-stable", "paper-pretrained", "load-proportional")
 
 
 def grasp_steps(sizes: Sizes) -> Iterator[Command]:
@@ -246,8 +241,6 @@ def grasp_steps(sizes: Sizes) -> Iterator[Command]:
             yield grasp(f"{name}-higher", trials, "14,19,20", *setting, *gain)
         else:
             yield grasp(name, trials, f"{sizes['objects']},19,20", *setting)
-        if name not in ROBUST_SETTINGS:
-            continue
         tests = f"{name}-tests"
         yield grasp(tests, trials, "16", *setting, "--scene", "sideways")
         yield grasp(tests, trials, "16", *setting, "--scene", "drop-20g")
@@ -263,7 +256,6 @@ def grasp_steps(sizes: Sizes) -> Iterator[Command]:
 
 def grasp_evaluations(sizes: Sizes) -> dict[str, Command]:
     """Evaluate the grasps of each controller and detector on their own: settings do not name the detector."""
-    robust = [name for name in sizes["settings"] if name in ROBUST_SETTINGS]
     return {
         **{
             f"grasps-{name}": evetac("evaluate", "grasp", f"{name}/*.recording.h5", f"{name}-higher/*.recording.h5")
@@ -274,7 +266,7 @@ def grasp_evaluations(sizes: Sizes) -> dict[str, Command]:
             f"grasp-robustness-{name}": evetac(
                 "evaluate", "grasp", f"{name}-tests/*.recording.h5", f"{name}-second-*/*.recording.h5"
             )
-            for name in robust
+            for name in sizes["settings"]
         },
     }
 

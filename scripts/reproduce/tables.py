@@ -4,12 +4,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from evetac_cli.evaluate import PAPER
+from evetac_cli.evaluate.common.rows import ends
 from evetac_cli.evaluate.data_rate import COLUMNS
+from evetac_cli.evaluate.grasp.measure import MOVED_MM, rank_correlation, without_gain
 from evetac_cli.evaluate.subject import grouped
 from evetac_cli.jobs import Row, Rows
-from scripts.paper.rows import BY_OBJECT
-from scripts.reproduce.steps import DATA_RATE_OBJECTS, ROBUST_SETTINGS, TRACKING_SCENES
+from evetac_cli.kernels import estimates
+from evetac_cli.kernels.estimates import Estimate
+from scripts.paper.rows import BY_UNIT
+from scripts.reproduce.steps import DATA_RATE_OBJECTS, GRASP_SETTINGS, TRACKING_SCENES
 
 
 class Evaluation(NamedTuple):
@@ -97,7 +103,7 @@ def recipe_rows(evaluations: Evaluations) -> Rows:
                 for one in having({name: evaluation}, "object", "slip_correct")
                 if one["setting"] == row["setting"]
             }
-            rows.append({**row, **what, BY_OBJECT: by_object, "evaluation": name})
+            rows.append({**row, **what, BY_UNIT: by_object, "evaluation": name})
     return rows
 
 
@@ -125,8 +131,21 @@ INTERVAL_NOTE = (
 )
 
 
+def by_unit(members: Rows, *columns: str) -> Row:
+    """Return the columns of rows of single trajectories by their file, as rows.py resamples them."""
+    units = {row["file"]: {name: row[name] for name in columns} for row in members}
+    assert len(units) == len(members)  # a file has one row
+    return {BY_UNIT: units}
+
+
 def preset_rows(evaluations: Evaluations) -> Rows:
-    return [row for row in having(evaluations, "preset") if "file" not in row]
+    """Return a row per preset; dots lost by trajectory are those of trajectories that lose any."""
+    trials = [{**row, "dots_lost_mean": row["dots_lost"] or None} for row in having(evaluations, "preset", "file")]
+    return [
+        {**row, **by_unit([one for one in trials if one["preset"] == row["preset"]], "dots_lost_mean")}
+        for row in having(evaluations, "preset")
+        if "file" not in row
+    ]
 
 
 def distance_rows(evaluations: Evaluations) -> Rows:
@@ -136,7 +155,9 @@ def distance_rows(evaluations: Evaluations) -> Rows:
         presets = {row["preset"]: row for row in evaluation.rows if "file" not in row}
         stable = presets.get("stable", {}).get("events_per_dot")
         tags = {"scene": scene, "gel": gel, "events_per_dot_stable": stable}
-        rows += [{**row, **tags} for row in presets.values()]
+        for row in presets.values():
+            trials = [one for one in evaluation.rows if "file" in one and one["preset"] == row["preset"]]
+            rows.append({**row, **tags, **by_unit(trials, "error_px_rms", "still_px_rms")})
     return rows
 
 
@@ -191,7 +212,8 @@ def interval_rows(evaluations: Evaluations) -> Rows:
     return rows
 
 
-CAMERAS = {"paper": "Evetac", "stable": "Evetac", "rgb": "RGB sensor"}  # by tracker of the dots
+# By tracker of the dots.
+CAMERAS = {"paper": "Evetac", "paper-5-events": "Evetac", "stable": "Evetac", "rgb": "RGB sensor"}
 FORCE_MODELS = {"regression": "linear regression", "network": "network"}
 
 
@@ -201,8 +223,10 @@ def force_rows(evaluations: Evaluations) -> Rows:
     for name, evaluation in evaluations.items():
         dots = name.rpartition("-")[2]
         for members in grouped(having({name: evaluation}, "mae_n_x"), ("sensor", "model", "sensor_name")):
-            mean = {key: sum(row[key] for row in members) / len(members) for key in ("mae_n_x", "mae_n_y")}
-            what = {key: members[0][key] for key in ("sensor", "model", "sensor_name")} | {"trajectories": len(members)}
+            errors = ("mae_n_x", "mae_n_y")
+            mean = {key: sum(row[key] for row in members) / len(members) for key in errors} | by_unit(members, *errors)
+            what = {key: members[0][key] for key in ("sensor", "model", "sensor_name", "models")}
+            what["trajectories"] = len(members)
             published = {key: members[0][key] for key in ("paper_mae_n_x", "paper_mae_n_y")}
             words = {"tracker": dots, "camera": CAMERAS[dots], "model_words": FORCE_MODELS[what["model"]]}
             rows.append({**what, **words, "evaluation": name, **mean, **published})
@@ -211,10 +235,7 @@ def force_rows(evaluations: Evaluations) -> Rows:
 
 DETECTORS = {
     "paper": "`fast-slow` 10 ms, the paper's tracker and threshold",
-    "paper-stable": "`fast-slow` 10 ms, tracker `stable`, the paper's threshold",
-    "paper-stable-false-alarms": "`fast-slow` 10 ms, tracker `stable`, 4 false alarms per min",
-    "paper-pretrained": "pretrained",
-    "reset-stable": "`fast-slow` 10 ms, tracker `stable`, the paper's threshold",
+    "paper-reset": "`fast-slow` 10 ms, the paper's tracker and threshold",
     "load-proportional": "pretrained",
     "alone": "none",
 }
@@ -231,11 +252,54 @@ def _with_detector(evaluations: Evaluations, *columns: str) -> Rows:
 
 
 def grasp_rows(evaluations: Evaluations) -> Rows:
-    return _with_detector(evaluations, "setting", "columns")
+    """Return a row per setting, with motion by trial, and with the interval of the rank correlation."""
+    rows = []
+    for row in _with_detector(evaluations, "setting", "columns"):
+        trials = [one for one in evaluations[row["evaluation"]].rows if "file" in one]
+        trials = [one for one in trials if without_gain(one["setting"]) == row["setting"]]
+        moved = [
+            {
+                "file": f"{one['object']}/{one['setting']}, {one['file']}",
+                "moved_lift_mm_median": one["moved_lift_mm"] if one["balanced"] else None,
+                "moved_below_10_mm_share": one["moved_mm"] < MOVED_MM if one["balanced"] else None,
+            }
+            for one in trials
+        ]
+        rows.append({**row, **by_unit(moved, *MOVED), **ends("force_follows_weight", _follows_weight(trials))})
+    return rows
+
+
+MOVED = ("moved_lift_mm_median", "moved_below_10_mm_share")
+
+
+def _follows_weight(trials: Rows) -> Estimate | None:
+    """Return the rank correlation of force and weight of objects that were kept, from resampling objects."""
+    kept = [one for one in trials if one["balanced"] and one.get("over_holding_end") is not None]
+    weight, force = (np.array([one[name] for one in kept]) for name in ("carried_g", "force_end_n"))
+    value = rank_correlation(weight, force)
+    if value is None:
+        return None
+    times = estimates.cluster_weights([one["object"] for one in kept]).astype(int)
+    samples = [rank_correlation(np.repeat(weight, one), np.repeat(force, one)) for one in times]
+    return estimates.of_samples(value, np.array([one for one in samples if one is not None]))
 
 
 def object_rows(evaluations: Evaluations) -> Rows:
-    rows = [row for row in _with_detector(evaluations, "setting", "object", "trials") if row["detector"] != "none"]
+    """Return a row per setting and object, with success and final force by trial."""
+    rows = []
+    for row in _with_detector(evaluations, "setting", "object", "trials"):
+        if row["detector"] != "none":
+            trials = [one for one in evaluations[row["evaluation"]].rows if "file" in one]
+            own = [
+                {
+                    "file": one["file"],
+                    "success": float(one["balanced"]),
+                    "force_end_n": one["force_end_n"] if one["balanced"] else None,
+                }
+                for one in trials
+                if (one["setting"], one["object"]) == (row["setting"], row["object"])
+            ]
+            rows.append({**row, **by_unit(own, "success", "force_end_n")})
     return sorted(rows, key=lambda row: int(row["object"]))
 
 
@@ -379,7 +443,7 @@ FORCE = Table(
     (Column("camera", "{camera}"), Column("tracker", "{tracker}"), Column("model", "{model_words}")),
     across=Column("{sensor_name}", "{mae_n_x:.2f}, {mae_n_y:.2f}", "{paper_mae_n_x:g}, {paper_mae_n_y:g}"),
     notes=(
-        "Means over the trajectories of a sensor: 3 of `evetac`, 1 of each of the others. The paper evaluated 1."
+        "Means over the trajectories of a sensor, and for networks over trainings. The paper evaluated 1 trajectory."
         " The RGB sensor's frames are rendered from the true dots, without the light of a real gel.",
     ),
 )
@@ -416,7 +480,7 @@ GRASPS_BY_OBJECT = Table(
 GRASP_ROBUSTNESS = Table(
     "grasp-robustness",
     "Grasps, sideways, with a falling weight, on another sensor, {recordings} trials",
-    tuple(f"grasp-robustness-{setting}" for setting in ROBUST_SETTINGS),
+    tuple(f"grasp-robustness-{setting}" for setting in GRASP_SETTINGS),
     grasp_rows,
     GRASP_COLUMNS,
 )

@@ -230,8 +230,8 @@ def test_figures_of_the_same_objects_are_compared_in_pairs(less: list[float], ex
     """Assert that a small difference that every object has shows; with another set of objects it would not."""
     content = json.loads((tables / "a.json").read_text())
     good, near = content["rows"][:2]
-    good["by_object"] = {str(k): {"share": 0.9 - 0.1 * k} for k in range(5)}
-    near["by_object"] = {str(k): {"share": 0.9 - 0.1 * k - off} for k, off in enumerate(less)}
+    good["by_unit"] = {str(k): {"share": 0.9 - 0.1 * k} for k in range(5)}
+    near["by_unit"] = {str(k): {"share": 0.9 - 0.1 * k - off} for k, off in enumerate(less)}
     (tables / "a.json").write_text(json.dumps(content))
     assert verdict(entry("good", direction=[{"is": "above", "row": "near"}]), tables, entry("near")) == expected
     assert verdict(entry("near", direction=[{"is": "below", "row": "good"}]), tables, entry("good")) == expected
@@ -284,12 +284,12 @@ def test_the_recipe_has_the_papers_sizes() -> None:
     known, unseen = (len(range(*map(int, sizes[name].split("-")))) + 1 for name in ("known", "unseen"))
     assert (known * sizes["train"], known * sizes["choose"]) == (315, 45)
     assert (known * sizes["test"], unseen * sizes["test"]) == (90, 80)
-    assert sizes["seeds"] == SEEDS and known * (sizes["train"] + sizes["choose"]) == TRAINED_ON
+    assert sizes["headline_seeds"] == SEEDS and known * (sizes["train"] + sizes["choose"]) == TRAINED_ON
 
 
 def test_the_recipe_has_the_papers_method() -> None:
     """Assert that tracker, labels and training are the paper's where nothing is changed."""
-    every = [list(step) for step in steps.recipe_steps({**steps.RECIPE, "changes": ()})]
+    every = [list(step) for step in steps.recipe_steps(steps.RECIPE)]
     chosen = {name: [step for step in every if step[1] == name] for name in ("label", "track", "train")}
     assert all(step[step.index("--method") + 1] == "farneback" for step in chosen["label"])
     assert all(step[step.index("--preset") + 1] == "paper" for step in (*chosen["track"], *chosen["train"]))

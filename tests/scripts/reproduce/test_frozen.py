@@ -29,7 +29,7 @@ def write(root: Path, path: str, text: str) -> None:
 def test_the_stored_freeze() -> None:
     """Assert that the freeze is of the rule, and that moves lead from frozen files to files that exist."""
     freeze = frozen.read()
-    assert (frozen.SEEDS.start, frozen.SEEDS.stop) == (90_000, 100_000)
+    assert (frozen.SEEDS.start, frozen.SEEDS.stop) == (100_000, 110_000)
     assert json.loads(frozen.FILE.read_text())["rule"] == frozen.RULE
     assert set(freeze.files) >= {"evetac_cli/kernels/tracking/tracker.py", "evetac_cli/data/sensors.toml"}
     assert all(frozen.is_frozen(path) for path in freeze.files)

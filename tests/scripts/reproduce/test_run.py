@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -186,32 +185,26 @@ def test_dry_run_prints_and_runs_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_recipe_is_changed_in_one_thing_at_a_time() -> None:
-    """Assert what each training of the paper's recipe learns from: all but one thing is the paper's."""
+def test_the_recipe_is_the_papers() -> None:
+    """Assert tracker, labels and training of the recipe, and that networks that headlines name have five seeds."""
     sizes = perform.sizes_for(BY_NAME["paper-recipe"], small=False, given={})
     commands = [words[1:] for words in BY_NAME["paper-recipe"].steps(sizes)]
 
-    def value(words: Sequence[str], flag: str) -> str:
-        return words[words.index(flag) + 1]
+    def values(command: str, flag: str) -> list[str]:
+        return [words[words.index(flag) + 1] for words in commands if words[0] == command]
 
-    made = {value(words, "--out"): words for words in commands if words[0] == "featurize"}
-    every = [words for words in commands if words[0] == "train"]
-    trained = {value(words, "--out"): words for words in every}
-    assert list(trained) == ["models/nothing", "models/tracker", "models/labels", "models/size", "models/noise"]
-    for change in ("nothing", "tracker", "labels", "noise"):
-        words = made[f"{change}/learn"]
-        assert words[1].startswith("quiet/") == (change == "noise")
-        assert value(words, "--tracks").endswith("/stable/learn" if change == "tracker" else "/paper/learn")
-        assert value(words, "--labels").endswith("/event-flow/learn" if change == "labels" else "/farneback/learn")
-        assert f"{change}/learn/*.features.h5" in trained[f"models/{change}"]
-    assert [words for words in trained["models/size"] if words.startswith("nothing/learn/")] == [
-        "nothing/learn/*-00[1-9].features.h5",
-        "nothing/learn/*-01[0-2].features.h5",
-    ]
-    assert {value(words, "--preset") for words in every} == {"paper"}
+    assert set(values("track", "--preset")) == {"paper"} and set(values("label", "--method")) == {"farneback"}
+    assert set(values("train", "--preset")) == {"paper"}
+    named = zip(*(values("train", flag) for flag in ("--model", "--horizon-ms", "--seed", "--seeds")), strict=True)
+    seeds: dict[tuple[str, str], list[int]] = {}
+    for model, ahead, first, count in named:
+        seeds.setdefault((model, ahead), []).extend(range(int(first), int(first) + int(count)))
+    five = [("fast-slow", "0"), ("fast-slow", "10")]
+    assert all(found == list(range(9_000, 9_005 if model in five else 9_002)) for model, found in seeds.items())
+    assert len(seeds) == 11
 
 
-@pytest.mark.parametrize("words", [["--only", "nothing"], ["--only", "tracking", "--size", "steps=7"],
+@pytest.mark.parametrize("words", [["--only", "no-such"], ["--only", "tracking", "--size", "steps=7"],
                                    ["--only", "tracking", "--size", "edges=many"]])  # fmt: skip
 def test_wrong_names_and_sizes_are_refused(words: list[str]) -> None:
     """Assert that an experiment or size that does not exist, and a size of another type, end with an error."""

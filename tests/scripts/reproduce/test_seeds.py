@@ -36,18 +36,18 @@ def group_with(**changed: Any) -> dict[str, Any]:
     return {**edge, **changed}
 
 
-JUDGED = {"frozen": "f9c755f9", "sizes": {"recording_seeds": [92_000]}}
+JUDGED = {"frozen": "ccbcd6aa", "sizes": {"recording_seeds": [102_000]}}
 
 
 @pytest.mark.parametrize(
     ("group", "table", "fault"),
     [
-        (group_with(seeds=[92_000]), {}, "its constants saw [92000], on which frozen tables are judged"),
-        (group_with(seeds=[[89_990, 90_001]]), {}, "its constants saw [90000, 90001]"),
-        (group_with(seeds=[92_000]), JUDGED, "reports the seeds [92000]"),
-        (group_with(), {**JUDGED, "sizes": {"recording_seeds": [89_999]}}, "is frozen, but is judged on [89999]"),
+        (group_with(seeds=[102_000]), {}, "its constants saw [102000], on which frozen tables are judged"),
+        (group_with(seeds=[[99_990, 100_001]]), {}, "its constants saw [100000, 100001]"),
+        (group_with(seeds=[102_000]), JUDGED, "reports the seeds [102000]"),
+        (group_with(), {**JUDGED, "sizes": {"recording_seeds": [99_999]}}, "is frozen, but is judged on [99999]"),
         (group_with(), {**JUDGED, "sizes": {}}, "is frozen, but is judged on unknown seeds"),
-        (group_with(), {"sizes": {"seeds": "90000-90001"}}, "does not name the frozen commit"),
+        (group_with(), {"sizes": {"seeds": "100000-100001"}}, "does not name the frozen commit"),
         (group_with(seeds=[7]), {"commands": ["x --seeds 5-7"]}, "reports the seeds [7]"),
     ],
 )
