@@ -45,7 +45,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := help
 .PHONY: help setup setup-all experiments demo strips paper-recipe \
 	ship tracking vibration data-rate force grasp-table part-effects \
-	blind-identification force-sensors touch-cost mujoco-grasps lift-baseline results film test test-alone test-all test-lowest lerobot check lint types docs bench benchmark profile clean
+	blind-identification force-sensors touch-cost mujoco-grasps lift-baseline results film test test-alone test-all test-lowest lerobot check lint types docs bench archive benchmark profile clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -176,6 +176,9 @@ docs: $(ALL)  ## build the documentation, site/index.html, with the reference pa
 	$(BIN)/zensical build --clean --strict
 	$(BIN)/python scripts/docs/check_site.py
 	@echo 'open site/index.html; its search needs a server: python3 -m http.server --bind 127.0.0.1 --directory site'
+
+archive: $(READY)  ## pack tables, models and rows of the published figures, with checksums, for a data repository
+	@$(BIN)/python scripts/ship/archive.py
 
 benchmark: $(KERNELS)  ## make evetac-bench, the benchmark that can be given away, in bench-small/ (SIZE=full, JOBS)
 	$(BIN)/python scripts/benchmark/make.py make --size $(SIZE) --out bench-$(SIZE) --jobs $(JOBS)

@@ -148,12 +148,9 @@ def divide(recipe: Mapping[str, Any], whole: Path, folder: Path, name: str, sens
 
 
 def sensor_name(recipe: Mapping[str, Any], sensor: str) -> str:
-    """Return the name of a sensor in the inputs, from which its parameters do not follow.
-
-    The known sensor was called evetac when version 1 was made.
-    """
+    """Return the name of a sensor in the inputs, from which its parameters do not follow."""
     if not sensor.startswith("randomized:"):
-        return "evetac"
+        return sensor
     most = 1000
     names = np.random.default_rng(recipe["first_sensor"] + 1).permutation(most)
     return f"sensor-{names[int(sensor.partition(':')[2]) - recipe['first_sensor']]:03d}"

@@ -120,9 +120,7 @@ def _held(recipe: Mapping[str, Any], slot: Slot, sensor: str, output: Path, shif
     rng = np.random.default_rng([PARAMETERS, slot.seed])
     planned = motions.planned(motion, number, slot.seed, sensor, object=object)
     scene = planned.plan.scene
-    share = recipe["kinetic_share"].get(scene.name, recipe["kinetic_share"]["usual"])
-    randomise = replace(scene.randomise, kinetic_share=tuple(share))
-    scene = replace(scene, gel=replace(scene.gel, cut=True), randomise=randomise, roughness=None)
+    scene = replace(scene, gel=replace(scene.gel, cut=True))
     if slot.kind == "slip":
         scene = replace(scene, time=replace(scene.time, after_lost_s=float(rng.uniform(*keys["after_lost_s"]))))
     if "longest_s" in keys:
@@ -143,8 +141,7 @@ def _pressed(recipe: Mapping[str, Any], slot: Slot, sensor: str, output: Path) -
     motion |= {"pause_s": keys["pause_s"], "offset_mm": 5.0}
     size = {"size_mm": None, "radius_mm": None, **recipe["faces"][face]}
     path = output.with_suffix(".scene.toml")
-    friction = {"kinetic_share": recipe["kinetic_share"]["usual"]}
-    changes = {"name": "bench-press", "face": size, "motion": motion, "randomise": friction}
+    changes = {"name": "bench-press", "face": size, "motion": motion}
     path.write_text(scene_file.changed("shear", changes))
     (one,) = record.jobs([], Record(scene=str(path), sensor=sensor, seed=slot.seed), output)
     path.unlink()
@@ -186,8 +183,6 @@ def lift_files(recipe: Mapping[str, Any], slot: Slot, folder: Path) -> tuple[dic
     changes: dict[str, Any] = {
         "name": "bench-lift",
         "hand": {"speed_mm_s": round(float(rng.uniform(*keys["speed_mm_s"])), 1), "acceleration_mm_s2": 200.0},
-        "randomise": {"kinetic_share": recipe["kinetic_share"]["usual"]},
-        "roughness": None,
     }
     if drop_g := float(rng.choice(keys["drop_g"])):
         changes["drop"] = {"mass_g": drop_g, "after_s": round(float(rng.uniform(0.5, 2.0)), 2), "speed_m_s": 0.5}

@@ -12,7 +12,7 @@ from evetac_cli.evaluate.common.report import report, report_job
 from evetac_cli.jobs import Job, Outcome, Progress, Row, Rows, Stage, silent
 from evetac_cli.store.layout.provenance import Header
 
-METHOD = 2
+METHOD = 3
 OF_OWN = ("model", "threshold", "tracker", "shear_force", "force_model", "controller")
 
 

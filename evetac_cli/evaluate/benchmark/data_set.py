@@ -19,7 +19,7 @@ from evetac_cli.evaluate.slip.warnings import slip_begins
 from evetac_cli.store.hdf5.checked_hdf5 import CheckedHdf5
 from evetac_cli.text_files import MOST_JSON_BYTES, parse_json, read_text
 
-NAME, VERSION = "evetac-bench", 1
+NAME, VERSION = "evetac-bench", 2
 ABOUT = "benchmark.json"
 MADE_BY = "make benchmark (docs/benchmark.md)"
 MOST_TABLE_BYTES = 1 << 30

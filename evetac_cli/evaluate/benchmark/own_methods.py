@@ -140,7 +140,7 @@ def _force(benchmark: Benchmark, entry: BenchmarkTrial, methods: Methods, tracks
     """Return the shear force in each ms, (slices, 2); 0 where touch maps know none."""
     if methods.force is None or methods.force_path is None:
         sensor = tracks.with_name(f"{entry.sensor}.sensor.toml")
-        scale = {"name": "bench-sensor", "like": "small-dots", "mm_per_px": benchmark.mm_per_px[entry.sensor]}
+        scale = {"name": "bench-sensor", "like": "evetac", "mm_per_px": benchmark.mm_per_px[entry.sensor]}
         sensor.write_text(as_toml(scale))
         output = tracks.with_name(f"{entry.name}.touch.h5")
         made_or_kept(predict_touch.run, Job((tracks,), output), PredictTouch(sensor=str(sensor), map_every=0))

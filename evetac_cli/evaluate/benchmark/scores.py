@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from evetac_cli.evaluate.benchmark.data_set import Benchmark, Truth
 from evetac_cli.evaluate.benchmark.predictions import Predictions
-from evetac_cli.evaluate.common.rows import mean
+from evetac_cli.evaluate.common.rows import ends, mean
 from evetac_cli.jobs import Row, Rows
 from evetac_cli.kernels import estimates
 from evetac_cli.kernels.estimates import Estimate
@@ -65,7 +65,7 @@ def all_rows(benchmark: Benchmark, truth: Mapping[str, Truth], made: Predictions
     if made.dot_xy_px is not None:
         rows += task_rows("dots", dots_parts(benchmark, truth, made.dot_xy_px), np.sqrt)
     if lifts is not None:
-        rows += task_rows("grip", grip_parts(lifts))
+        rows += grip_rows(lifts)
     return rows
 
 
@@ -199,6 +199,18 @@ def dots_parts(benchmark: Benchmark, truth: Mapping[str, Truth], dot_xy_px: Mapp
         more = {"median_px": float(np.sqrt(np.median(squares))), "worst_px": float(np.sqrt(squares.max()))}
         parts.append(_part(benchmark, true, name, float(squares.mean()), **more))
     return parts
+
+
+def grip_rows(lifts: Rows) -> Rows:
+    """Return the rows of lifts, with intervals also of the share that was held and of the mean force."""
+    parts = grip_parts(lifts)
+    rows = task_rows("grip", parts)
+    for row in rows:
+        chosen = [part for part in parts if row["split"] in (part.split, ALL)]
+        for name in ("kept", "force_over_holding"):
+            known = [part._replace(above=part.more[name]) for part in chosen if np.isfinite(part.more[name])]
+            row.update(ends(name, _estimate(known)))
+    return rows
 
 
 def grip_parts(lifts: Rows) -> list[TrialScore]:

@@ -37,7 +37,7 @@ def bench_folder(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for number, (path, kind) in enumerate(zip([*paths[:-1], job.output], KINDS, strict=True)):
         row = files.divide(said, path, folder, f"r{number}", f"sensor-{number % 2}", presses=kind == "press")
         more = {"kind": kind, "split": ("known-sensor", "all-new")[number % 2], "mm_per_px": 0.04}
-        true = {"true_sensor": f"randomized:{95000 + number % 2}", "true_object": f"new-{number}", "seed": 95000}
+        true = {"true_sensor": f"randomized:{105000 + number % 2}", "true_object": f"new-{number}", "seed": 105000}
         rows.append({**row, **more, **true, "motion": "slip"})
     lift = {"split": "all-new", "object": "paper-11", "sensor": "evetac", "seed": 0, "lift_s": 1.0, "balance_s": 0.2}
     texts = {"scene": scene_file.changed("lift", {}), "object": object_text(11)}
