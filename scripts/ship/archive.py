@@ -2,7 +2,7 @@
 
     python scripts/ship/archive.py [dist/evetac-results-VERSION.tar.gz]
 
-It has the tables, models and rows of docs/results, the rows of the paper, what was frozen and which seeds constants saw,
+It has the tables, models and rows of docs/results, the rows of the paper, what was frozen, which seeds constants saw,
 the licence, CITATION.cff, a README (docs/cite.md) and SHA256SUMS, which `sha256sum --check` reads. Only committed files
 are packed; files of the tree that differ from the last commit are an error. The bytes depend on the commit alone.
 """
