@@ -2,13 +2,15 @@
 
     python scripts/reproduce/frozen.py                    # what has changed
     python scripts/reproduce/frozen.py --moves            # after `git mv`: record in frozen.json where files are now
+    python scripts/reproduce/frozen.py --tables           # after an experiment: record the digests of frozen tables
     python scripts/reproduce/frozen.py --write f9c755f9   # freeze that commit: writes frozen.json
 
 All files that can change a figure are frozen. These are code, scenes, sensors, objects and models in five folders of
 the package, and the thresholds and weights that scripts judge with. frozen.json has the SHA-256 of each, and in `moved`
 the present path of each file that was moved. Of Python files only code counts: comments, docstrings and imports
 are left out. Styles of pages are not frozen. A change is reported and counted, but it is no error: methods may improve,
-and tables made with them name their own commit.
+and tables made with them name their own commit. `tables` has the SHA-256 of each table that was made with the frozen
+methods, so that a digit changed by hand is noticed.
 """
 
 import argparse
@@ -19,7 +21,7 @@ import json
 import subprocess
 import tokenize
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -38,12 +40,13 @@ RULE = (
 
 @dataclass(frozen=True)
 class Freeze:
-    """The frozen commit, its date (YYYY-MM-DD), the SHA-256 of each frozen file, and where moved files are today."""
+    """The frozen commit, its date (YYYY-MM-DD), SHA-256 of the frozen files and tables, and where files are today."""
 
     commit: str
     date: str
     files: dict[str, str]
     moved: dict[str, str] = field(default_factory=dict)
+    tables: dict[str, str] = field(default_factory=dict)
 
 
 def is_frozen(path: str) -> bool:
@@ -76,7 +79,14 @@ def _code(source: str) -> str:
 def read(path: Path = FILE) -> Freeze:
     """Return the stored freeze."""
     stored = json.loads(path.read_text())
-    return Freeze(stored["commit"], stored["date"], stored["files"], stored["moved"])
+    return Freeze(stored["commit"], stored["date"], stored["files"], stored["moved"], stored.get("tables", {}))
+
+
+def tables(freeze: Freeze, results: Path = ROOT / "docs" / "results") -> dict[str, str]:
+    """Return the SHA-256 of each table in `results` that was made with these frozen methods, by name."""
+    found = {path.stem: path.read_bytes() for path in sorted(results.glob("*.json"))}
+    made = {name: text for name, text in found.items() if json.loads(text).get("frozen") == freeze.commit[:8]}
+    return {name: hashlib.sha256(text).hexdigest() for name, text in made.items()}
 
 
 def changed(freeze: Freeze, root: Path = ROOT) -> list[str]:
@@ -138,13 +148,13 @@ def main() -> None:
     """Write the file, or print what has changed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", metavar="COMMIT", help="freeze this commit")
+    parser.add_argument("--tables", action="store_true", help="record the digests of frozen tables")
     parser.add_argument("--moves", action="store_true", help="record the moves of git's history and index")
     chosen = parser.parse_args()
     freeze = frozen_at(chosen.write) if chosen.write else read()
-    if chosen.write or chosen.moves:
-        freeze = Freeze(freeze.commit, freeze.date, freeze.files, moves(freeze))
-        stored = {"commit": freeze.commit, "date": freeze.date, "rule": RULE}
-        FILE.write_text(json.dumps(stored | {"files": freeze.files, "moved": freeze.moved}, indent=1) + "\n")
+    if chosen.write or chosen.moves or chosen.tables:
+        freeze = replace(freeze, moved=moves(freeze), tables=tables(freeze))
+        FILE.write_text(json.dumps(asdict(freeze) | {"rule": RULE}, indent=1) + "\n")
     differing = changed(freeze)
     print(in_words(freeze, differing))
     print(*(f"  {path}" for path in differing), sep="\n" if differing else "")

@@ -38,6 +38,23 @@ def test_the_stored_freeze() -> None:
     assert all((frozen.ROOT / path).exists() for path in freeze.moved.values()), "run frozen.py --moves"
 
 
+def test_frozen_tables_are_as_they_were_made(tmp_path: Path) -> None:
+    """Assert the digest of each table made with frozen methods, which no file differed from, and that others count not.
+
+    A changed digit gives another digest.
+    """
+    freeze = frozen.read()
+    assert frozen.tables(freeze) == freeze.tables, "run frozen.py --tables after an experiment"
+    for name in freeze.tables:
+        assert json.loads((frozen.ROOT / "docs" / "results" / f"{name}.json").read_text())["changed_since"] == [], name
+    table = {"frozen": freeze.commit[:8], "rows": [{"share": 0.9}]}
+    write(tmp_path, "a.json", json.dumps(table))
+    write(tmp_path, "b.json", json.dumps(table | {"frozen": "f9c755f9"}))
+    first = frozen.tables(freeze, tmp_path)
+    write(tmp_path, "a.json", json.dumps(table).replace("0.9", "0.8"))
+    assert set(first) == {"a"} and frozen.tables(freeze, tmp_path) != first
+
+
 def test_what_has_changed_since_the_freeze(tmp_path: Path) -> None:
     """Assert that changed, removed and new files are listed; comments, docstrings, imports and moves do not count."""
     files = {TRACKER: CODE, EDGE: "contrast = 2\n"}
