@@ -16,6 +16,7 @@ SIZES: dict[str, Sizes] = {
     "paper-recipe": {"test": 1},  # of 10 trajectories of each object
     "tracking": {"edges": 5, "others": 1},  # of 50 and 5
     "vibration": {"randomized": 2},  # of 20
+    "force": {"trials": 1},  # of 5
     "grasp-table": {"trials": 1, "alone": 1},  # of 10 and 5
 }
 

@@ -19,7 +19,7 @@ from scripts.paper.page import PAGES as OF_PAPER
 from scripts.paper.rows import read as paper_rows
 from scripts.reproduce import frozen
 from scripts.reproduce.facts import RESULTS, ROOT, made_on
-from scripts.reproduce.plan import STUDIES
+from scripts.reproduce.plan import EXPERIMENTS, STUDIES
 from scripts.reproduce.table_text import Result, measured_text, text
 
 DOCS = ROOT / "docs"
@@ -42,7 +42,7 @@ def made_from(name: str, results: Path, *, measured: bool = False) -> tuple[str,
         return measured_text(table), [table]
     if name == FREEZE:
         freeze = frozen.read()
-        return frozen.in_words(freeze, frozen.changed(freeze)) + "\n", []
+        return f"{frozen.in_words(freeze, frozen.changed(freeze))}\n\n{made_with(freeze, results)}\n", []
     if name in OF_ROWS:
         if name in OF_PAPER:
             tables = sorted({row["table"] for row in paper_rows()["rows"] if "table" in row})
@@ -51,6 +51,22 @@ def made_from(name: str, results: Path, *, measured: bool = False) -> tuple[str,
         return OF_ROWS[name](results), [read(own if (results / f"{own}.json").exists() else "likeness/after")]
     table = read(name)
     return text(table), [table]
+
+
+def made_with(freeze: frozen.Freeze, results: Path) -> str:
+    """Return, in words, the tables that were made with frozen methods, with core hours, and those of before."""
+    made, before = {}, []
+    for experiment in EXPERIMENTS:
+        for table in experiment.tables if experiment.published else ():
+            path = results / f"{table.name}.json"
+            stored = json.loads(path.read_text()) if path.exists() else {}
+            if stored.get("frozen") == freeze.commit[:8]:
+                made[experiment.name] = stored["hours"]
+            elif stored:
+                before.append(f"`{table.name}`")
+    each = ", ".join(f"`{name}` {hours:.3g}" for name, hours in made.items())
+    hours = f"Core hours of the experiments made with them: {each}; together {sum(made.values()):.3g}."
+    return f"{hours} Tables of experiments that were made before the freeze, on other seeds: {', '.join(before)}."
 
 
 def fill_page(page: str, results: Path) -> str:
