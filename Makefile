@@ -43,7 +43,7 @@ SAYING = awk '/(Downloading|Using cached) .*MB\)/ {sub(/^ +/, ""); print "  " $$
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-all experiments demo strips paper-recipe \
+.PHONY: help setup setup-all experiments demo strips paper-recipe image-networks \
 	ship tracking vibration data-rate force grasp-table part-effects \
 	blind-identification force-sensors touch-cost mujoco-grasps lift-baseline results film test test-alone test-all test-lowest lerobot check lint types docs bench archive benchmark profile clean
 
@@ -79,6 +79,9 @@ demo: $(KERNELS)  ## all steps from touch to grasp on a simulated sensor, in one
 	@$(REPRODUCE) --only $@
 
 paper-recipe: $(KERNELS)  ## train and evaluate slip detectors by the paper's recipe
+	@$(REPRODUCE) --only $@
+
+image-networks: $(KERNELS)  ## train and evaluate slip detectors on small event images
 	@$(REPRODUCE) --only $@
 
 ship: $(KERNELS)  ## train the pretrained slip detector on many motions, sensors and objects, and put it into the package

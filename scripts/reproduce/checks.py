@@ -25,7 +25,7 @@ def slip_trials(evaluations: Evaluations) -> Rows:
     """Return a row per model and trajectory of slip; the unit is the object."""
     rows: Rows = []
     for name, evaluation in evaluations.items():
-        tags = {"objects_words": "trained on" if name == "recipe-known" else "unseen"}
+        tags = {"objects_words": "trained on" if name.endswith("-known") else "unseen"}
         settings = {row["setting"]: row for row in evaluation.rows if "seeds" in row and "slip_correct" in row}
         for row in (row for row in evaluation.rows if "timing" in row and row["timing"] is not None):
             setting = settings[row["setting"]]
@@ -117,6 +117,9 @@ PAPER: dict[str, Check] = {
     "paper-recipe": Check(
         ("objects_words", "model", "horizon_ms"), SLIP, slip_trials,
         training=("--model", "fast-slow", "--horizon-ms", "10"),
+    ),
+    "paper-recipe-images": Check(
+        ("objects_words", "model", "horizon_ms"), SLIP, slip_trials, training=("--model", "hist10-img-6x6"),
     ),
     "model-cost": Check(("setting",), unpromised=("time_us_median", "step_us_median", "pareto")),
     # A tenth has one trial of each object: the interval of a single object is wide.

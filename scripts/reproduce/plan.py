@@ -32,6 +32,12 @@ PAPER: tuple[Experiment, ...] = (
         tables=(tables.PAPER_RECIPE, tables.MODEL_COST, *detections.TABLES),
     ),
     Experiment(
+        "image-networks", "slip detection from small event images, on a part of the recipe's trajectories",
+        "data/paper-recipe", 1.0, full=steps.IMAGES, small={"files": "*-000", "seed": 100, "seeds": 1, "steps": 20},
+        steps=steps.image_steps, evaluations=steps.image_evaluations,
+        tables=(tables.IMAGE_NETWORKS,), after=("paper-recipe",),
+    ),
+    Experiment(
         "tracking", "tracker presets compared on edges, slip and shear", "data/tracking", 2.0,
         full={
             "seed": 102_000, "edges": 50, "others": 5,

@@ -116,6 +116,35 @@ def recipe_evaluations(sizes: Sizes) -> dict[str, Command]:
     return evaluations
 
 
+IMAGES: Sizes = {
+    "models": ("no-hist-img-6x6", "hist10-img-6x6"),  # those of 540 x 480 px need a GPU
+    "files": "*-00[0-4]",  # trajectories of each object
+    "seed": 9_000,
+    "seeds": 2,
+    "steps": 3_000,
+}
+
+
+def image_steps(sizes: Sizes) -> Iterator[Command]:
+    """Train networks on event images of 90 x 80 px on a part of the recipe's trajectories."""
+    for role in ("learn", "choose", "known", "unseen"):
+        recordings = f"recordings/{role}"
+        yield evetac("featurize", f"{recordings}/{sizes['files']}.recording.h5", "--tracks", f"{recordings}/tracks",
+                     "--labels", f"{recordings}/labels", "--images", "--out", f"images/{role}")  # fmt: skip
+    for model in sizes["models"]:
+        yield evetac("train", "images/learn/*.features.h5", "--model", model, "--preset", "paper",
+                     "--max-steps", sizes["steps"], "--validate", "images/choose", "--seed", sizes["seed"],
+                     "--seeds", sizes["seeds"], "--out", "models/images")  # fmt: skip
+
+
+def image_evaluations(sizes: Sizes) -> dict[str, Command]:
+    return {
+        f"images-{role}": evetac("evaluate", "slip", f"images/{role}/*.features.h5",
+                                 "--model", "models/images/*.model.h5", "--recordings", f"recordings/{role}")
+        for role in ("known", "unseen")
+    }  # fmt: skip
+
+
 TRACKING_SCENES = (
     ("edge-cut", ("--scene", "edge")),
     ("edge-closed", ("--scene", "edge", "--gel", "closed")),

@@ -64,10 +64,12 @@ def _of(quantity: str) -> Callable[[Row], Key]:
 def _ours(row: Row, source: Source) -> Conditions:
     folds = f", {row['folds']} folds" if row.get("folds") else ""
     dots = [] if "img" in row["model"] else [by("dots", source.trackers)]
-    size = (row["trajectories"], row["seeds"], source.training_recordings)
+    model = row["model"].removesuffix("-6x6")
+    smaller = (6.0,) if model != row["model"] else ()  # px that become one
+    size = (row["trajectories"], row["seeds"], source.training_recordings, *smaller)
     inputs = ", ".join([*dots, by("labels", source.labels)])
     truth = ", true slip share" if row.get("true_slip_share") else ""
-    return Conditions(f"{row['model']} by {row['preset']}{truth}{folds}", scenes(source), size, inputs)
+    return Conditions(f"{model} by {row['preset']}{truth}{folds}", scenes(source), size, inputs)
 
 
 def _of_model(key: Callable[[Row], Key], *more: str) -> PaperColumn:
