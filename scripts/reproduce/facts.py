@@ -170,7 +170,9 @@ def methods(headers: Iterable[Row]) -> dict[str, int]:
     """Return the method version of each command behind a table's reports; the oldest if there are several."""
     numbers: dict[str, int] = {}
     for header in headers:
-        for node in (header, *header["history"].values()):
+        nodes = (header, *header["history"].values())
+        in_frames = any(node["kind"] == "tracks" and node["seed"] is not None for node in nodes)
+        for node in nodes:
             command = node["parameters"].get("command", COMMANDS.get(node["kind"], ""))
             if node["kind"] == "force-model" and node["parameters"].get("method") == "touch":
                 command = "train-force --method touch"
@@ -181,7 +183,7 @@ def methods(headers: Iterable[Row]) -> dict[str, int]:
             if command in MODULES:
                 numbers[command] = min(node["method"], numbers.get(command, node["method"]))
             for kind, method in node.get("methods", {}).items():  # of the files that a model was trained on
-                command = COMMANDS.get(kind, "track")
+                command = COMMANDS.get(kind, "track --rgb" if in_frames else "track")
                 numbers[command] = min(method, numbers.get(command, method))
     return {command: numbers[command] for command in MODULES if command in numbers}
 

@@ -3,6 +3,7 @@
 from dataclasses import fields
 
 from evetac_cli.commands.train import Train
+from evetac_cli.jobs import Row
 from evetac_cli.kernels.slip.training import PRESETS
 from scripts.reproduce import facts, results, table_text
 
@@ -55,6 +56,19 @@ def test_a_table_of_the_default_sensor_of_today_does_not_name_it() -> None:
     assert facts.made_on([today]) == ""
     line = facts.made_on([today, {"commit": "ccc"}, {"commit": "bbb", "default_sensor": "another"}, {}])
     assert line == "Made at bbb, ccc on `small-dots`, then the values of `evetac`."
+
+
+def test_dots_in_frames_have_a_method_of_their_own() -> None:
+    """Assert that a model that learned from dots in frames does not lower the method of dots in events."""
+
+    def report(method: int, seed: int | None) -> Row:
+        tracks = {"kind": "tracks", "method": method, "seed": seed, "parameters": {}}
+        trained = {"recording": 7, "tracks": method}
+        model = {"kind": "force-model", "method": 1, "seed": 3, "parameters": {}, "methods": trained}
+        return {"kind": "report", "method": 5, "parameters": {}, "history": {"a": tracks, "b": model}}
+
+    found = facts.methods([report(7, None), report(2, 0)])
+    assert found == {"record": 7, "track": 7, "train-force": 1, "track --rgb": 2}
 
 
 def test_a_long_table_is_folded() -> None:
