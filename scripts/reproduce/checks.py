@@ -86,7 +86,7 @@ def rate_trials(evaluations: Evaluations) -> Rows:
 def force_trials(evaluations: Evaluations) -> Rows:
     """Return a row per tracker, model, sensor and trajectory; the unit is the trajectory."""
     return [
-        {**row, "tracker": name.rpartition("-")[2], "unit": row["file"]}
+        {**row, "tracker": name.removeprefix("force-"), "unit": row["file"]}
         for name, evaluation in evaluations.items()
         for row in evaluation.rows
         if "mae_n_x" in row

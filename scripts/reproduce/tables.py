@@ -221,7 +221,7 @@ def force_rows(evaluations: Evaluations) -> Rows:
     """Return mean errors over trajectories, by camera and tracker, model and sensor."""
     rows = []
     for name, evaluation in evaluations.items():
-        dots = name.rpartition("-")[2]
+        dots = name.removeprefix("force-")
         for members in grouped(having({name: evaluation}, "mae_n_x"), ("sensor", "model", "sensor_name")):
             errors = ("mae_n_x", "mae_n_y")
             mean = {key: sum(row[key] for row in members) / len(members) for key in errors} | by_unit(members, *errors)
