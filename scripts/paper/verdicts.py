@@ -33,31 +33,38 @@ def paired(first: Mapping[str, float], second: Mapping[str, float]) -> Estimate:
 
     Both are judged on the same trials, so what makes an object hard for both does not widen the interval.
     """
-    return of_units({name: first[name] - second[name] for name in first}, "mean")
+    off = np.array([first[name] - second[name] for name in first])
+    return _ratio(off, np.ones(len(off)), first)
 
 
 def paired_ratio(first: Mapping[str, float], second: Mapping[str, float]) -> Estimate:
     """Return the ratio of the means of the first and the second over units, from resampling these."""
     above, below = (np.array([one[name] for name in first]) for one in (first, second))
-    found = estimates.ratio_of_clusters(above, below, _weights(first))
-    assert found is not None
-    return found
+    return _ratio(above, below, first)
 
 
 def of_units(figures: Mapping[str, float | None], how: str) -> Estimate:
-    """Return the "mean", "rms" or "median" of a figure that units have, from resampling these.
+    """Return the "mean", "rms" or "median" of a figure that units have; units without it do not count.
 
-    Units without the figure do not count. Those named GROUP/UNIT are resampled with their group.
+    The interval of a mean is Student's, because resampling few trajectories makes it too narrow. Units named GROUP/UNIT
+    are resampled with their group, and so are those of an rms and of a median.
     """
     known = {name: figure for name, figure in figures.items() if figure is not None}
-    values, weights = np.array(list(known.values()), np.float64), _weights(known)
+    values = np.array(list(known.values()), np.float64)
     if how == "median":
-        samples = [np.median(np.repeat(values, one)) for one in weights.astype(int)]
+        samples = [np.median(np.repeat(values, one)) for one in _weights(known).astype(int)]
         return estimates.of_samples(float(np.median(values)), np.array(samples))
-    power = 2 if how == "rms" else 1
-    found = estimates.ratio_of_clusters(values**power, np.ones(len(values)), weights)
+    if how == "rms":
+        return Estimate(*map(math.sqrt, _ratio(values**2, np.ones(len(values)), known)))
+    if any("/" in name for name in known):
+        return _ratio(values, np.ones(len(values)), known)
+    return estimates.mean(float(values.mean()), float(values.std(ddof=1)), len(values))
+
+
+def _ratio(above: NDArray[np.float64], below: NDArray[np.float64], units: Iterable[str]) -> Estimate:
+    found = estimates.ratio_of_clusters(above, below, _weights(units))
     assert found is not None
-    return Estimate(*(math.copysign(abs(end) ** (1 / power), end) for end in found))
+    return found
 
 
 def _weights(units: Iterable[str]) -> NDArray[np.float64]:
