@@ -6,12 +6,14 @@ numbers, so their ends agree within a part of their width.
 
 import json
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import pytest
 from scipy import stats
 
 from scripts.paper import rows as paper_rows
+from scripts.paper.ten import TEN
 
 RESULTS = paper_rows.RESULTS
 ENTRIES = paper_rows.by_number(paper_rows.read()["rows"])
@@ -58,3 +60,82 @@ def table_row(number: str) -> dict[str, Any]:
     table = json.loads((RESULTS / f"{entry['table']}.json").read_text())
     (found,) = (row for row in table["rows"] if entry["row"].items() <= row.items())
     return dict(found)
+
+
+SHARE = (-0.1, 0.1)  # margin of shares
+
+
+def ratio(paper: float, times: float = 1.25) -> tuple[float, float]:
+    """The margin of a ratio, as a difference."""
+    return paper / times - paper, paper * times - paper
+
+
+def printed(figure: float, interval: Interval) -> Interval:
+    """A share as the paper prints it, with the interval of so many hits of so many trials."""
+    return figure, *interval[1:]
+
+
+class ByHand(NamedTuple):
+    """The paper's figure, the margin, and what of the table's row the interval is computed from."""
+
+    paper: Interval
+    margin: tuple[float, float]
+    kind: str
+
+
+BY_HAND = {
+    "20a": ByHand(wilson(8, 10), SHARE, "counts"),  # 8 of 10 trajectories
+    "29p": ByHand(wilson(245, 250), SHARE, "counts"),  # 98 % of 250 windows
+    "36a": ByHand(student(0.017, 0.004, 5), ratio(0.017), "mean"),  # five trajectories
+    "41c": ByHand((0.33, 0.33, 0.33), ratio(0.33), "trajectories"),  # one trajectory, without an interval
+    "77a": ByHand(printed(0.926, wilson(83, 90)), SHARE, "objects"),
+    "79b": ByHand(printed(0.88, wilson(70, 80)), SHARE, "objects"),
+    "82a": ByHand(printed(0.57, wilson(46, 80)), SHARE, "interval"),
+    "91a": ByHand(printed(0.93, wilson(112, 120)), SHARE, "interval"),
+    "98c": ByHand(wilson(10, 10), SHARE, "counts"),
+}
+COUNTS = {"20a": ("consistent", "trajectories"), "29p": ("correct", "windows"), "98c": ("success", "trials")}
+
+
+def ours_by_hand(number: str, kind: str, row: dict[str, Any]) -> Interval:
+    """Evetac's figure and interval from the counts, or from the trajectories or objects of a row."""
+    field = ENTRIES[number]["field"]
+    if kind == "counts":
+        above, below = COUNTS[number]
+        hits = row[above] * row[below] if above == "success" else row[above]
+        return wilson(hits, row[below])
+    if kind == "mean":
+        return student(row["share_mean"], row["share_sd"], row["trajectories"])
+    if kind == "interval":
+        return row[field], row[f"{field}_low"], row[f"{field}_high"]
+    figures = [one[field] for one in row["by_unit"].values()]
+    if kind == "trajectories":
+        return student(float(np.mean(figures)), float(np.std(figures, ddof=1)), len(figures))
+    return resampled(figures)
+
+
+@pytest.mark.parametrize("number", BY_HAND)
+def test_ten_rows_by_hand(number: str) -> None:
+    """Assert figure, interval and verdict of a row."""
+    by_hand, entry, row = BY_HAND[number], ENTRIES[number], table_row(number)
+    found = entry["computed"]
+    ours = ours_by_hand(number, by_hand.kind, row)
+    assert found["ours"] == pytest.approx(ours[0], rel=1e-3)
+    off = RESAMPLED * (ours[2] - ours[1]) if by_hand.kind == "objects" else 1e-3 * max(1.0, abs(ours[2]))
+    assert found["interval"] == pytest.approx(ours[1:], abs=off)
+    assert found["paper"] == pytest.approx(by_hand.paper[0], abs=0.005)
+    expected = verdict(ours, by_hand.paper, *by_hand.margin)
+    if "tracks" in entry and found["error_px_rms"] >= found["still_px_rms"]:
+        expected = "undecided"  # dots that never move do as well
+    assert found["verdict"] == expected
+
+
+def test_a_run_time_is_judged_by_the_papers_bound() -> None:
+    """Assert that the network takes at most the 0.1 ms of the paper, or the row says that it differs."""
+    (time_ms, found) = table_row("84a")["inference_ms_median"], ENTRIES["84a"]["computed"]
+    assert found["verdict"] == ("compatible" if time_ms <= 0.1 else "different")
+
+
+def test_the_ten_rows_are_these() -> None:
+    """Assert that every row of the table is computed by hand here."""
+    assert {row.number for row in TEN} == {*BY_HAND, "84a"}
