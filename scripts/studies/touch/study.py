@@ -6,12 +6,12 @@ from scripts.reproduce.steps import script
 STUDY = Study(
     scripts={
         **{
-            name: ScriptCheck((script("studies/touch/contacts.py", "--seeds", "60000-60024", "--out", "tables"),), 2.0,
+            name: ScriptCheck((script("studies/touch/contacts.py", "--seeds", "107000-107024", "--out", "tables"),), 2.0,
                               Check(("what",)), whole=True)
             for name in ("touch-contacts", "touch-coverage")
         },
         "touch-wrong-injected": ScriptCheck(
-            (script("studies/touch/wrong_dots.py", "--seeds", "60700-60703", "--out", "tables"),),
+            (script("studies/touch/wrong_dots.py", "--seeds", "107700-107703", "--out", "tables"),),
             2.0,
             Check(("wrong", "off_px"), (Figure("found", count="n"),)),
             whole=True,
