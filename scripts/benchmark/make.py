@@ -31,6 +31,8 @@ def compare(folder: Path, *, write: bool) -> None:
         path.write_text(json.dumps(about, indent=1) + "\n")
         sys.stdout.write(f"{path}\n")
         return
+    if not path.exists():
+        raise SystemExit(f"{path}: no digests of this size are stored; --write writes them")
     known = json.loads(path.read_text())
     if known["recipe_sha256"] != about["recipe_sha256"]:
         raise SystemExit(f"{folder}: expected the recipe {known['recipe_sha256'][:12]} of {path}, found another one")

@@ -6,8 +6,12 @@ from scripts.reproduce.steps import script
 STUDY = Study(
     scripts={
         **{
-            name: ScriptCheck((script("studies/touch/contacts.py", "--seeds", "107000-107024", "--out", "tables"),), 2.0,
-                              Check(("what",)), whole=True)
+            name: ScriptCheck(
+                (script("studies/touch/contacts.py", "--seeds", "107000-107024", "--out", "tables"),),
+                2.0,
+                Check(("what",)),
+                whole=True,
+            )
             for name in ("touch-contacts", "touch-coverage")
         },
         "touch-wrong-injected": ScriptCheck(
