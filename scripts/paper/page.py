@@ -63,7 +63,9 @@ def as_ten(results: Path) -> str:
     for row in TEN:
         one = entries[row.number]
         found = one["computed"]
-        shown = [row.what + _older(one, results), _paper(one), _ours(one)]
+        paper = _figure(found["paper"], found["spread"]) if "paper" in found else ""
+        ours = _figure(found["ours"], found["interval"]) if "ours" in found else NOT_YET
+        shown = [row.what + _older(one, results), paper, ours]
         known = found["verdict"] != NOT_YET
         about = [counted(row, one, results), by_own_method(row, one, results)] if known else ["", ""]
         lines.append([*shown, about[0], found.get("mark") or "", found["verdict"], about[1]])
@@ -118,6 +120,11 @@ def as_methods(results: Path) -> str:
         if one.get("differs")
     ]
     return as_table(["row", "the paper's method", "module", "what differs"], methods) + "\n"
+
+
+def _figure(value: float, ends: list[float] | None) -> str:
+    """Return a figure with its interval, which a run time and a figure without trials do not have."""
+    return f"{value:.3g}" + (f" ({ends[0]:.2g} to {ends[1]:.2g})" if ends and ends[0] < ends[1] else "")
 
 
 def _row(entry: Row) -> int:

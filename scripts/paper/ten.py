@@ -47,7 +47,7 @@ TEN = (
     TenRow("77a", "slip detected in time, known objects", SLIPS),
     TenRow("79b", "slip detected in time, 10 ms ahead, unseen objects", SLIPS),
     TenRow("82a", "... first detection in the last 10 ms before slip", "{slips} slips, {seeds} trainings"),
-    TenRow("84a", "time of the network [ms], here on a CPU", "one core"),
+    TenRow("84a", "time of the network [ms]; here on a CPU, in the paper on a GPU", "one core"),
     TenRow(
         "91a", "object lifted and kept", GRASPS,
         Own({"evaluation": "grasps-load-proportional", "setting": "load-proportional"}, "{success:.2f}"),

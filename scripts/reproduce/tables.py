@@ -321,6 +321,7 @@ DEMO = Table(
     ("labels", "tracking", "slip", "grasp"),
     demo_rows,
     (Column("what", "{what}"), Column("figure", "{figure}")),
+    kept=False,
 )
 
 PAPER_RECIPE = Table(
@@ -344,6 +345,7 @@ IMAGE_NETWORKS = Table(
     recipe_rows,
     (Column("objects", "{objects_words}"), *SLIP_COLUMNS),
     notes=("The paper's images have 540 x 480 px, which take a GPU to train, and 360 trajectories.", INTERVAL_NOTE),
+    kept=False,
 )
 
 MODEL_COST = Table(

@@ -44,7 +44,10 @@ def test_what_is_written_is_what_is_computed() -> None:
     filled = paper_rows.filled(CONTENT)
     wrong = [old["number"] for old, new in zip(ROWS, filled["rows"], strict=True) if old != new]
     assert wrong == [], "run python scripts/paper/rows.py"
-    assert filled["awaiting"] == CONTENT["awaiting"] == [], "run python scripts/paper/rows.py"
+    assert filled["awaiting"] == CONTENT["awaiting"], "run python scripts/paper/rows.py"
+    for line in CONTENT["awaiting"]:  # tables of before the freeze lack what intervals are made of
+        table = json.loads((ROOT / "docs" / "results" / f"{line.split(': ')[1]}.json").read_text())
+        assert "frozen" not in table, line
 
 
 @pytest.mark.parametrize("key", ["ours", "mark", "verdict"])

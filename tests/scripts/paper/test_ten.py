@@ -106,7 +106,7 @@ def ours_by_hand(number: str, kind: str, row: dict[str, Any]) -> Interval:
         return wilson(hits, row[below])
     if kind == "mean":
         return student(row["share_mean"], row["share_sd"], row["trajectories"])
-    if kind == "interval":
+    if kind == "interval" or "by_unit" not in row:  # a table of before the freeze
         return row[field], row[f"{field}_low"], row[f"{field}_high"]
     figures = [one[field] for one in row["by_unit"].values()]
     if kind == "trajectories":
