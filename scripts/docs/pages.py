@@ -58,7 +58,7 @@ def _part_of(name: str) -> str:
         return OPENING
     if inspect.isclass(item) and issubclass(item, Exception):
         return ERRORS
-    simulates = inspect.isfunction(item) or name in ("Simulation", "Touch", "TouchSensor")
+    simulates = inspect.isfunction(item) or name in ("SimulatedCamera", "Simulation", "Touch", "TouchSensor")
     return SIMULATING if simulates else EVENTS
 
 
