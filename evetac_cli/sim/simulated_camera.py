@@ -174,7 +174,7 @@ class SimulatedCamera:
             ends = np.searchsorted(self._times_ns, [begin_ns, begin_ns + SLICE_NS])
             at_ends = [self._times_ns[ends[0]] == begin_ns, self._times_ns[ends[1]] == begin_ns + SLICE_NS]
             pieces = 1 if all(at_ends) and ends[1] == ends[0] + 1 else PIECES  # from sample to sample: one line
-            times = begin_ns + np.arange(pieces + 1) * (SLICE_NS / pieces)
+            times = np.linspace(begin_ns, begin_ns + SLICE_NS, pieces + 1)
             path_m = self._shifts_at(times)
             self._slices += 1
             yield self._camera.render(
