@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from evetac_cli.kernels.event_drawing import ImageBlock
     from evetac_cli.kernels.slip.architectures import Sensitivity
     from evetac_cli.kernels.touch.touch_map import TouchReading
-    from evetac_cli.sim.simulated_camera import SimulatedCamera
+    from evetac_cli.sim.simulated_camera import SeenSlice, SimulatedCamera
     from evetac_cli.sim.touch_sensor import Touch, TouchSensor
     from evetac_cli.store.recordings.read import Recording, SlipWindows, open_recording
 
@@ -55,6 +55,7 @@ __all__ = [
     "InputError",
     "Recording",
     "Sensitivity",
+    "SeenSlice",
     "SimulatedCamera",
     "Simulation",
     "SliceBlock",
@@ -87,7 +88,7 @@ _MODULES = {
     "ImageBlock": "kernels.event_drawing",
     "Sensitivity": "kernels.slip.architectures",
     **dict.fromkeys(("EvetacError", "InputError", "UnavailableError"), "errors"),
-    "SimulatedCamera": "sim.simulated_camera",
+    **dict.fromkeys(("SeenSlice", "SimulatedCamera"), "sim.simulated_camera"),
     **dict.fromkeys(("Touch", "TouchSensor"), "sim.touch_sensor"),
     "TouchReading": "kernels.touch.touch_map",
     **dict.fromkeys(("Recording", "SlipWindows", "open_recording"), "store.recordings.read"),

@@ -107,6 +107,7 @@ class Capability(StrEnum):
     """
 
     IMPORT = "an import (--from)"
+    DOTS = "dots of another simulator (--from-dots)"
     SCENE = "a simulated scene (--camera sim or virtual)"
     STEPPED = "a scene in simulated time (--camera sim)"
     DEVICE = "a device (--camera virtual, dvxplorer, dv or replay:FILE)"

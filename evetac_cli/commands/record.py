@@ -46,6 +46,13 @@ class Record(Devices, Trials):
         flag="--from",
         recipe=False,
     )
+    dots: Path | None = parameter(
+        None,
+        "Make the events of dots that another simulator moved instead: .npz, .zarr or .parquet with t_s and dot_xy_px"
+        " or dot_xy_mm, and optional forces and slip (docs/any-simulator.md), as the camera of --sensor sees them.",
+        flag="--from-dots",
+        recipe=False,
+    )
     frame_size: str | None = parameter(
         None,
         "Frame size of an imported file that does not state it, e.g. 640x480; default: that of the smallest known"
@@ -224,6 +231,7 @@ COMMAND = Command(
     examples=(
         "evetac record --scene slip --object 1-3 --count 2 -o data",
         "evetac record --from events.aedat4",
+        "evetac record --from-dots pressed.npz",
         "evetac record --camera dvxplorer --gripper /dev/ttyUSB0 --arm --object 8",
     ),
 )

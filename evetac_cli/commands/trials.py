@@ -85,11 +85,11 @@ class Trials:
     scene: str
     objects: str
     count: int = parameter(1, "Trials per object.", low=1, high=100000, recipe=False, needs=SERIES)
-    seed: int = parameter(0, "Seed of all random choices.", low=0, high=2**31 - 1, needs=SERIES)
+    seed: int = parameter(0, "Seed of all random choices.", low=0, high=2**31 - 1, needs=(*SERIES, Capability.DOTS))
     sensor: str = parameter(
         "evetac",
         "Sensor (`evetac list sensors`), or a TOML file (`evetac identify`); A,B: two.",
-        needs=SIMULATED,
+        needs=(*SIMULATED, Capability.DOTS),
     )
     gel: str | None = parameter(
         None,

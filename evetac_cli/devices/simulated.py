@@ -20,7 +20,7 @@ from evetac_cli.sim.setup.sensor import Sensor
 from evetac_cli.sim.simulation import Simulation, scene_in_words, simulation_of
 
 
-class SimulatedCamera:
+class SceneCamera:
     """The camera of a simulated scene, and the clock of that scene."""
 
     counted: Mapping[str, int] = MappingProxyType({})
@@ -68,7 +68,7 @@ def _described(name: str, sensor: Sensor, camera: GelCamera) -> dict[str, Any]:
     return described
 
 
-class SecondSimulatedCamera(SimulatedCamera):
+class SecondSceneCamera(SceneCamera):
     """The camera of the second finger: its events of the slice that was last read from the first finger's camera."""
 
     def __init__(self, simulation: GraspSimulation, name: str, sensor: Sensor) -> None:
@@ -122,10 +122,10 @@ def rig(plan: Plan, seeds: np.random.SeedSequence, timer: Timer = untimed, /, **
     SceneError if the scene cannot be built.
     """
     simulation = simulation_of(plan, seeds, timer, **durations)
-    camera = SimulatedCamera(simulation, plan.scene.name, plan.sensor_name, plan.sensor)
+    camera = SceneCamera(simulation, plan.scene.name, plan.sensor_name, plan.sensor)
     second = None
     if plan.second is not None and isinstance(simulation, GraspSimulation):
-        second = SecondCamera(SecondSimulatedCamera(simulation, *plan.second), simulation.second_truth)
+        second = SecondCamera(SecondSceneCamera(simulation, *plan.second), simulation.second_truth)
     devices = Rig(
         camera,
         None,

@@ -178,7 +178,7 @@ def _recording(file: StageFile) -> dict[str, Any]:
 
 def _slip_of(recording: Recording) -> tuple[str, SlipCovariates | None]:
     """Return the source of a recording's slip, `truth` or `labels`, and its covariates; None if it is unknown."""
-    if recording.has("truth"):
+    if recording.has("truth/slip"):
         return "truth", covariates_of_truth(recording)
     path = output_path(recording.path, "labels", None)
     if path.exists():

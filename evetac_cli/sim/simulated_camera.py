@@ -12,6 +12,7 @@ Gel, friction, window, texture and the outline of an object are the other simula
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,6 +34,20 @@ LONGEST_S = 1e5
 NOWHERE_M = np.zeros(2)  # there is no object behind a window
 
 
+class SeenSlice(NamedTuple):
+    """What a `SimulatedCamera` saw in a slice of 1 ms: its events, and the dots (dots, 2) in px at its end, the truth.
+
+    >>> import numpy as np
+    >>> rest = np.array([[300.0, 200.0], [360.0, 200.0]])
+    >>> camera = evetac.SimulatedCamera(rest, rng=np.random.default_rng(0))
+    >>> camera.step(0.0, rest), len(camera.step(0.001, rest + 0.5))
+    ((), 1)
+    """
+
+    events: Events
+    dot_xy_px: Floats
+
+
 class SimulatedCamera:
     """The event camera of a simulated sensor, in front of dots that you move; see `step` and `play`.
 
@@ -50,7 +65,7 @@ class SimulatedCamera:
     >>> times_s = np.arange(13) / 60                      # a simulator with 60 steps per second
     >>> moved = rest + 4 * np.sin(9 * times_s)[:, None, None, None]
     >>> slices = camera.play(times_s, moved)
-    >>> len(slices), sum(events.size for events in slices) > 1000
+    >>> len(slices), sum(one.events.size for one in slices) > 1000
     (200, True)
     """
 
@@ -60,11 +75,12 @@ class SimulatedCamera:
         if unit not in ("px", "mm"):
             raise _refused("unknown unit", "px or mm", unit)
         drawn, optics = rng.spawn(2)
-        _, sensor_or_ranges = plan.named_sensor(sensor)
+        self.name, sensor_or_ranges = plan.named_sensor(sensor)
         one = sensor_or_ranges
         if not isinstance(one, Sensor):
             one = sampling.sample_sensor(one, drawn)
         self.frame_px = one.frame_px
+        self.sensor: Sensor = one
         self._px_per_unit = 1.0 if unit == "px" else 1.0 / one.mm_per_px
         self._middle_px = np.zeros(2) if unit == "px" else np.array(one.frame_px) / 2
         grid_px = self._as_px(dot_xy)
@@ -93,8 +109,8 @@ class SimulatedCamera:
         self._shifts_m: list[Floats] = []
         self._slices = 0
 
-    def step(self, t_s: float, dot_xy: ArrayLike) -> tuple[Events, ...]:
-        """Take the dots' positions at a time, and return the events of each slice of 1 ms that is now known.
+    def step(self, t_s: float, dot_xy: ArrayLike) -> tuple[SeenSlice, ...]:
+        """Take the dots' positions at a time, and return each slice of 1 ms that is now known.
 
         The first positions are those at the start of the first slice; times increase, by any steps. Positions have the
         shape and unit of those at rest. After steps of more than a slice, the slices up to the time before are
@@ -112,27 +128,32 @@ class SimulatedCamera:
         self._forget()
         return made
 
-    def finish(self) -> tuple[Events, ...]:
-        """Return the events of the remaining whole slices up to the last given time."""
+    def finish(self) -> tuple[SeenSlice, ...]:
+        """Return the remaining whole slices up to the last given time."""
         return tuple(self._until(self._times_ns[-1])) if self._times_ns else ()
 
-    def play(self, t_s: ArrayLike, dot_xy: ArrayLike) -> tuple[Events, ...]:
-        """Return the events of each slice of 1 ms of a whole motion: times (n,) and positions (n, dots, 2).
+    def play(self, t_s: ArrayLike, dot_xy: ArrayLike) -> tuple[SeenSlice, ...]:
+        """Return each slice of 1 ms of a whole motion: times (n,) and positions (n, dots, 2).
 
         It equals `step` for each time, and `finish`.
         """
         times, places = np.asarray(t_s, np.float64), np.asarray(dot_xy, np.float64)
         if times.ndim != 1 or len(times) != len(places):
             raise _refused("t_s, dot_xy", "as many times as positions", f"{times.shape}, {places.shape}")
-        slices: list[Events] = []
+        slices: list[SeenSlice] = []
         for time_s, place in zip(times, places, strict=True):
             slices += self.step(float(time_s), place)
         return (*slices, *self.finish())
 
-    @property
-    def seen_dot_xy_px(self) -> Floats:
-        """The dots (dots, 2) where the camera sees them at the end of the last slice: the truth."""
-        return self._camera.dot_xy_px.copy()
+    def recorded_sensor(self) -> dict[str, Any]:
+        """Return the datasets `sensor/...` of a recording by this camera."""
+        return {
+            "sensor/frame_px": np.array(self.frame_px, np.int32),
+            "sensor/name": self.name,
+            "sensor/dot_xy_px": self.dot_xy_px,
+            "sensor/dot_radius_px": np.float64(self.dot_radius_px),
+            **{f"sensor/{key}": np.float64(value) for key, value in self.sensitivity.known().items()},
+        }
 
     def _as_px(self, dot_xy: ArrayLike) -> Floats:
         given = np.asarray(dot_xy, np.float64)
@@ -167,8 +188,8 @@ class SimulatedCamera:
         """Whether dots move on a straight line from the sample `at` to the next."""
         return at >= 0 and self._times_ns[at + 1] - self._times_ns[at] <= SLICE_NS
 
-    def _until(self, known_ns: int) -> Iterator[Events]:
-        """Yield the events of the slices that end by this time."""
+    def _until(self, known_ns: int) -> Iterator[SeenSlice]:
+        """Yield the slices that end by this time."""
         while (self._slices + 1) * SLICE_NS <= known_ns:
             begin_ns = self._slices * SLICE_NS
             ends = np.searchsorted(self._times_ns, [begin_ns, begin_ns + SLICE_NS])
@@ -177,9 +198,9 @@ class SimulatedCamera:
             times = np.linspace(begin_ns, begin_ns + SLICE_NS, pieces + 1)
             path_m = self._shifts_at(times)
             self._slices += 1
-            yield self._camera.render(
-                path_m[-1], NOWHERE_M, 0.0, (self._slices - 1) * SLICE_US, None if pieces == 1 else path_m
-            )
+            t0_us = (self._slices - 1) * SLICE_US
+            events = self._camera.render(path_m[-1], NOWHERE_M, 0.0, t0_us, None if pieces == 1 else path_m)
+            yield SeenSlice(events, self._camera.dot_xy_px.copy())
 
     def _shifts_at(self, times_ns: Floats) -> Floats:
         """Return the displacements (times, dots, 2) at times within the known samples."""

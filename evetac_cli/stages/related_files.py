@@ -141,17 +141,23 @@ def no_truth(path: Path, hint: str = "evetac record --scene NAME simulates one")
     return InputError("the recording has no truth: only simulated recordings have it", where=str(path), hint=hint)
 
 
+def missing_truth(path: Path, needed: str) -> InputError:
+    """Return the error for the recording of another simulator's dots without some ground truth."""
+    hint = "add it to the file of --from-dots" if needed != "truth/slid_px" else "only evetac's own scenes know it"
+    return InputError("the truth is incomplete", where=str(path), expected=needed, found="none", hint=hint)
+
+
 @contextmanager
-def recording_with_truth(file: StageFile) -> Iterator[Recording]:
+def recording_with_truth(file: StageFile, needed: str = "truth/shear_force_n") -> Iterator[Recording]:
     """Open the simulated recording from which a file was made.
 
-    InputError if it is missing, is another recording or has no ground truth.
+    InputError if it is missing, is another recording or its ground truth lacks the needed dataset.
     """
     path = Origins("recording").must_find(file)
     with open_recording(path) as recording:
         check_made_from(file, recording)
-        if not recording.has("truth"):
-            raise no_truth(path)
+        if not recording.has(needed):
+            raise no_truth(path) if not recording.has("truth") else missing_truth(path, needed)
         yield recording
 
 

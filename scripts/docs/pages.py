@@ -27,6 +27,7 @@ OF_THE_REPOSITORY = {
 }
 LINK = re.compile(r"(?<!!)\[([^\]]+)\]\((?!\w+:|#)([^)#]+)(#[^)]*)?\)")
 # Sections of the page of Python names, in this order.
+SIMULATORS = ("SeenSlice", "SimulatedCamera", "Simulation", "Touch", "TouchSensor")
 OPENING, EVENTS, SIMULATING, ERRORS = "Open files", "Events, dots, slip", "Simulate", "Errors"
 
 
@@ -58,7 +59,7 @@ def _part_of(name: str) -> str:
         return OPENING
     if inspect.isclass(item) and issubclass(item, Exception):
         return ERRORS
-    simulates = inspect.isfunction(item) or name in ("SimulatedCamera", "Simulation", "Touch", "TouchSensor")
+    simulates = inspect.isfunction(item) or name in SIMULATORS
     return SIMULATING if simulates else EVENTS
 
 

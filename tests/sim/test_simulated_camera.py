@@ -1,5 +1,6 @@
 """The camera in front of dots that another simulator moves: equal to evetac's own scenes, and smooth between steps."""
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from scipy.interpolate import PchipInterpolator
 from evetac_cli.arrays import Floats
 from evetac_cli.errors import InputError
 from evetac_cli.events import Events, concatenate
-from evetac_cli.sim.simulated_camera import SimulatedCamera
+from evetac_cli.sim.simulated_camera import SeenSlice, SimulatedCamera
 from evetac_cli.sim.touch_sensor import TouchSensor
 
 REST_PX = np.stack(np.meshgrid(np.arange(80.0, 600.0, 60.0), np.arange(60.0, 440.0, 60.0)), axis=-1).reshape(-1, 2)
@@ -26,8 +27,12 @@ def moved(times_s: Floats) -> Floats:
     return REST_PX + np.stack([x_px, 0.5 * x_px], axis=-1)[:, None]
 
 
-def same(one: tuple[Events, ...], other: tuple[Events, ...]) -> bool:
-    columns = zip(concatenate(list(one)), concatenate(list(other)), strict=True)
+def events_of(slices: Iterable[SeenSlice]) -> Events:
+    return concatenate([one.events for one in slices])
+
+
+def same(one: tuple[SeenSlice, ...], other: tuple[SeenSlice, ...]) -> bool:
+    columns = zip(events_of(one), events_of(other), strict=True)
     return len(one) == len(other) and all(np.array_equal(first, second) for first, second in columns)
 
 
@@ -43,7 +48,7 @@ def test_events_are_those_of_the_native_sensor(tmp_path: Any) -> None:
         native += touch.slices
         dots.append(touch.dot_xy_px)
     ours = camera(dots[0], sensor=str(own)).play(np.arange(61) * 1e-3, np.stack(dots))
-    first, second = concatenate(native), concatenate(list(ours))
+    first, second = concatenate(native), events_of(ours)
     assert len(native) == len(ours) and first.size > 1000
     assert second.size == pytest.approx(first.size, rel=0.01)
     for polarity in (0, 1):
@@ -56,13 +61,13 @@ def test_step_and_play_are_the_same(times_s: Floats) -> None:
     """Assert that a motion given at once makes the events of one given step by step, at any rate, in order of time."""
     whole = camera().play(times_s, moved(times_s))
     one = camera()
-    stepped: list[Events] = []
+    stepped: list[SeenSlice] = []
     for time_s, place in zip(times_s, moved(times_s), strict=True):
         stepped += one.step(float(time_s), place)
     stepped += one.finish()
     assert same(whole, tuple(stepped))
     assert len(whole) == int((times_s[-1] - times_s[0]) * 1000 + 1e-6)
-    t_us = concatenate(list(whole)).t
+    t_us = events_of(whole).t
     assert (np.diff(t_us) >= 0).all() and t_us[-1] < len(whole) * 1000
     assert same(camera().play(times_s + 100.0, moved(times_s)), whole)  # the first time is that of the first slice
 
@@ -70,15 +75,11 @@ def test_step_and_play_are_the_same(times_s: Floats) -> None:
 def test_dots_follow_a_monotone_cubic() -> None:
     """Assert where dots are seen at the end of each slice: on scipy's curve through all steps of a 60 Hz simulator."""
     times_s = np.arange(31) / 60
-    one, seen = camera(), []
-    for time_s, place in zip(times_s, moved(times_s), strict=True):
-        before = one._slices
-        made = one.step(float(time_s), place)
-        seen += [one.seen_dot_xy_px] if made else []
-        assert one._slices == before + len(made)
-        if made:
-            expected = PchipInterpolator(times_s, moved(times_s))(one._slices * 1e-3)
-            np.testing.assert_allclose(seen[-1], expected, atol=1e-9)
+    one = camera()
+    seen = [slice_.dot_xy_px for step in zip(times_s, moved(times_s), strict=True) for slice_ in one.step(*step)]
+    expected = PchipInterpolator(times_s, moved(times_s))((1 + np.arange(len(seen))) * 1e-3)
+    np.testing.assert_allclose(seen, expected, atol=1e-9)
+    assert len(seen) == 483
     assert len(one._times_ns) < 10  # it forgets what it does not need
 
 
@@ -89,7 +90,7 @@ def test_a_dot_at_rest_makes_no_event_before_it_moves(tmp_path: Any) -> None:
     times_s = np.arange(8) / 60
     places = np.repeat(REST_PX[None], 8, axis=0)
     places[4:, :, 0] += 5.0
-    sizes = [events.size for events in camera(sensor=str(own)).play(times_s, places)]
+    sizes = [one.events.size for one in camera(sensor=str(own)).play(times_s, places)]
     assert sum(sizes[:50]) == 0 and sum(sizes[50:68]) > 1000 and sum(sizes[70:]) == 0
 
 
@@ -100,8 +101,8 @@ def test_millimetres_are_from_the_middle_of_the_view() -> None:
     in_mm = (moved(times_s) - np.array([320.0, 240.0])) * 0.0329
     other = camera(in_mm[0], unit="mm")
     np.testing.assert_allclose(other.dot_xy_px.reshape(-1, 2), moved(times_s)[0], atol=1e-9)
-    count = sum(events.size for events in one.play(times_s, moved(times_s)))
-    assert sum(events.size for events in other.play(times_s, in_mm)) == pytest.approx(count, rel=0.01)
+    count = events_of(one.play(times_s, moved(times_s))).size
+    assert events_of(other.play(times_s, in_mm)).size == pytest.approx(count, rel=0.01)
     assert camera(REST_PX.reshape(7, 9, 2)).dot_xy_px.shape == (7, 9, 2)
 
 

@@ -70,7 +70,7 @@ def run(job: Job, params: EvaluateDataRate, *, force: bool = False, progress: Pr
             if len(recording) == 0:
                 raise InputError("the recording has no slices, so it has no data rate", where=str(path))
             parents.append(recording.header)
-            labels = None if recording.has("truth") else labels_beside(recording)
+            labels = None if recording.has("truth/slip") else labels_beside(recording)
             parents += [labels.header] if labels else []
 
     as_papers = all(_as_the_papers(header) for header in parents)
@@ -155,7 +155,7 @@ def intervals(recording: Recording, around_s: float) -> Intervals:
     """Return the slices of the whole recording, of contact, and of `around_s` around the onset of slip."""
     slices = len(recording)
     contact = SliceInterval(0, 0, "no truth; contact is known only in simulations")
-    if recording.has("truth"):
+    if recording.has("truth/normal_force_n"):
         force_n = recording.read("truth/normal_force_n")
         touched, loaded = np.flatnonzero(force_n >= TOUCH_N), np.flatnonzero(force_n > 0)
         contact = SliceInterval(0, 0, "nothing was touched")
@@ -180,7 +180,7 @@ def _about_slip(recording: Recording, around_s: float) -> SliceInterval:
 
 def slip_onset(recording: Recording) -> tuple[int | None, str]:
     """Return the onset of slip, by truth or by labels next to the recording; else None and why it is unknown."""
-    if recording.has("truth"):
+    if recording.has("truth/slip"):
         return true_onset(recording), "no slip"
     labels = labels_beside(recording)
     if labels is None:
@@ -210,7 +210,7 @@ def headers_beside(recording: Recording) -> list[Header]:
 
     Raise InputError if these belong to another recording.
     """
-    labels = None if recording.has("truth") else labels_beside(recording)
+    labels = None if recording.has("truth/slip") else labels_beside(recording)
     with dot_places(recording) as dots:
         tracks = dots[0] if dots is not None and dots[0] is not recording else None
         return [recording.header, *([labels.header] if labels else []), *([tracks.header] if tracks else [])]

@@ -47,7 +47,7 @@ def run(job: Job, params: EvaluateLabels, *, force: bool = False, progress: Prog
     rows: Rows = []
     headers = []
     for path in each(job.inputs, progress):
-        with StageFile(path, "labels") as labels, recording_with_truth(labels) as recording:
+        with StageFile(path, "labels") as labels, recording_with_truth(labels, "truth/slid_px") as recording:
             labelled = labelled_onset(labels)
             true, nodes = true_onsets(recording), slip_grid.nodes_of(recording)
             slid_px = recording.read("truth/slid_px")

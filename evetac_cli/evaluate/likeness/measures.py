@@ -177,7 +177,7 @@ def measure(recording: Recording, counts: SliceCounts) -> Row:
     row |= _of_layout(recording) | shares(recording, counts) | about_slip(counts)
     if recording.has("gripper") and counts.onset is not None:
         row["ramp_ma_s"] = _ramp(recording, counts)
-    if recording.has("truth"):
+    if recording.has("truth/slip"):
         row |= _of_truth(recording, counts) | followed(recording)
     with dot_places(recording) as dots:
         if dots is not None and counts.onset is not None:

@@ -101,12 +101,13 @@ class TopicMessages:
         for path, kind in NUMBERS.items():
             if recording.has(path):
                 yield f"/evetac/{path}", f"std_msgs/msg/{kind}", self._numbers(recording, path, kind)
-        if recording.has("truth"):
+        if recording.has("truth/shear_force_n") and recording.has("truth/normal_force_n"):
             yield (
                 "/evetac/truth/force",
                 "geometry_msgs/msg/WrenchStamped",
                 self._wrenches(recording, "truth/shear_force_n", "truth/normal_force_n"),
             )
+        if recording.has("truth"):
             yield "/evetac/truth/dots", "sensor_msgs/msg/PointCloud2", self._true_dots(recording)
 
     def of_streams(self, recording: Recording) -> Iterator[tuple[str, str, Messages]]:

@@ -234,7 +234,7 @@ def _read_trial(folder: Path, trial: StudyTrial, *, draw: bool) -> None:
                 trial.events = recording.event_count
                 if recording.has("control/outcome"):
                     trial.grasp = json.loads(recording.read("control/outcome"))
-                trial.has_truth = recording.has("truth")
+                trial.has_truth = recording.has("truth/slip")
                 trial.t_s = true_onset(recording) if trial.has_truth else None
                 if draw and len(recording):
                     trial.thumbnail = _thumbnail(trial, recording)

@@ -51,7 +51,7 @@ def gripper_panels(trial: OpenTrial, span: tuple[int, int]) -> list[Panel]:
         heights = decimated({"height": GREEN}, slices_s, rows_of(recording, "truth/table_gap_mm", start))
         panels.append(Panel("Object, height above the table, truth", "mm", heights, {}, simulated=True))
     scale, touched = _mm_per_px(trial), _gripped_at(recording)
-    if scale is not None and touched is not None and recording.has("truth"):
+    if scale is not None and touched is not None and recording.has("truth/object_xy_px"):
         origin = recording.read("truth/object_xy_px", touched, touched + 1)
 
         def moved(begin: int, end: int) -> NDArray[Any]:
@@ -100,7 +100,7 @@ def contact_times(trial: OpenTrial, span: tuple[int, int]) -> dict[str, int]:
         return {}
     if recording.has("control"):
         times["gripped"] = _gripped_at(recording)
-    if recording.has("truth"):
+    if recording.has("truth/normal_force_n"):
         force = rows_of(recording, "truth/normal_force_n", span[0])
         touched = first_row(span[1] - span[0], force, lambda force_n: force_n >= TOUCH_N)
         times["first touch"] = span[0] + touched if touched else None  # contact from the start is not a first touch

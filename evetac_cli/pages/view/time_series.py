@@ -166,11 +166,15 @@ def _truth(recording: Recording, span: tuple[int, int]) -> list[Panel]:
         paths = ("truth/visible_slip_share", "truth/slip_share")
         return np.stack([recording.read(path, start + first, start + last) for path in paths], axis=1)
 
-    lines = decimated({"normal": INK, "shear": ORANGE}, t_s, forces)
-    panels = [Panel("Forces on one pad, truth", "N", lines, simulated=True)]
+    panels = []
+    if recording.has("truth/normal_force_n") and recording.has("truth/shear_force_n"):
+        lines = decimated({"normal": INK, "shear": ORANGE}, t_s, forces)
+        panels = [Panel("Forces on one pad, truth", "N", lines, simulated=True)]
     if recording.has("truth/tone_hz"):
         lines = decimated({"tone": PINK}, t_s, rows_of(recording, "truth/tone_hz", start))
         return [*panels, Panel("Tone, truth", "Hz", lines, simulated=True)]
+    if not recording.has("truth/slip_share"):
+        return panels
     lines = decimated({"that the camera sees": ORANGE, "whole": INK}, t_s, shares)
     return [*panels, Panel("Share of the contact that slips, truth", "", lines, simulated=True)]
 
@@ -284,7 +288,7 @@ def slip_onsets(
     """
     start, stop = span
     onsets: dict[str, int | None] = {}
-    if trial.recording is not None and trial.recording.has("truth"):
+    if trial.recording is not None and trial.recording.has("truth/slip"):
         onsets["truth"] = true_onset(trial.recording, start, stop)
     examined = start
     if (source := _labelled(trial)) is not None:
@@ -322,7 +326,7 @@ def slip_lanes(trial: OpenTrial, span: tuple[int, int], probability: NDArray[np.
     t_s = slice_times_s(start, stop + 1)
     lanes = []
     recording = trial.recording
-    if recording is not None and recording.has("truth"):
+    if recording is not None and recording.has("truth/slip"):
         lanes.append(lane_of("truth", INK, t_s, rows_of(recording, "truth/slip", start)))
     if (source := _labelled(trial)) is not None:
         rows = rows_of(source, "label", start)

@@ -102,9 +102,11 @@ def gel_counts(
 def covariates_of_truth(recording: Recording) -> SlipCovariates | None:
     """Return the covariates of the first gross slip since the current began to fall; None if nothing slips.
 
-    The recording must be simulated. None for a grasp as well, because its controller acts on the slip.
+    The recording must be simulated. None for a grasp as well, because its controller acts on the slip, and for dots of
+    another simulator that does not know the object.
     """
-    onset = None if recording.has("control") else true_onset(recording)
+    known = all(recording.has(f"truth/{name}") for name in ("slip", "visible_slip_share", "object_xy_px"))
+    onset = true_onset(recording) if known and not recording.has("control") else None
     if onset is None:
         return None
     first, ramp = first_looked_at(onset), ramp_start(recording)

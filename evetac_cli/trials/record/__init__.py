@@ -1,7 +1,7 @@
-"""record: write the events of one trial to a file, from a simulated scene, from devices or from a foreign event file.
+"""record: write the events of one trial to a file: of a scene, of given dots, of devices or of a foreign event file.
 
-Each of the three sources is a type of job with its own module: SimulatedTrial (simulated.py), DeviceRecording
-(capture.py) and ImportJob (imported.py). With --preview, the job is a Preview: the camera's view is shown, and nothing
+Each of the sources is a type of job with its own module: SimulatedTrial (simulated.py), GivenDots (given_dots.py),
+DeviceRecording (capture.py) and ImportJob (imported.py). With --preview, the job is a Preview: the camera's view is shown, and nothing
 is written. With --listen, a robot's program starts trials of the second type, any number of them (trials/listen).
 """
 
@@ -32,8 +32,9 @@ from evetac_cli.store.recordings import slip_grid
 from evetac_cli.trials import live_view, part_costs
 from evetac_cli.trials.listen import Listening, listen, listening
 from evetac_cli.trials.live_view import LiveView
-from evetac_cli.trials.record import capture, capture_plan, imported, simulated
+from evetac_cli.trials.record import capture, capture_plan, given_dots, imported, simulated
 from evetac_cli.trials.record.capture_plan import DeviceRecording, camera_settings
+from evetac_cli.trials.record.given_dots import GivenDots
 from evetac_cli.trials.record.imported import ImportJob
 from evetac_cli.trials.trial import DETAILS, SimulatedTrial, Trial, device_trials, for_people, simulated_trials
 from evetac_cli.trials.trial import OUTPUT as OUTPUT
@@ -80,6 +81,8 @@ def jobs(files: list[Path], params: Record, out: Path | None) -> Sequence[Job]:
     """Return one job per object and trial, or one for the imported file; InputError for options of other sources."""
     cameras, gripper = devices(params)
     _refuse_unused(params, cameras, gripper)
+    if params.dots is not None:
+        return [GivenDots((params.dots,), output_path(params.dots, OUTPUT, out))]
     if params.source is not None:
         if params.source.is_dir() and not is_bag_folder(params.source):
             raise InputError("this is a folder", where=str(params.source), expected="an event file")
@@ -110,6 +113,9 @@ def _listening(trials: list[DeviceRecording], params: Record, out: Path | None) 
 
 def _refuse_unused(params: Record, cameras: Sequence[NamedCamera], gripper: NamedGripper) -> None:
     """Raise InputError for an option that applies to nothing in this run."""
+    if params.dots is not None:
+        refuse_unused(params, {Capability.DOTS}, f"--from-dots {params.dots}", never={Capability.GRASPED})
+        return
     if params.source is not None:
         refuse_unused(params, {Capability.IMPORT}, f"--from {params.source}", never={Capability.GRASPED})
         return
@@ -182,6 +188,8 @@ def run(job: Job, params: Record, *, force: bool = False, progress: Progress = s
             return listen(job, partial(capture.run, force=force, progress=silent))
         case ImportJob():
             return imported.run(job, params, force=force, progress=progress)
+        case GivenDots():
+            return given_dots.run(job, params, force=force, progress=progress)
     raise TypeError(f"record has no {type(job).__name__}")
 
 
