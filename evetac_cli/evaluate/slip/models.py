@@ -320,7 +320,7 @@ def _has_truth(features: StageFile, path: Path, folder: Path | None) -> bool:
         with open_recording(path) as recording:
             if folder is not None:
                 check_made_from(features, recording)
-            return recording.header["id"] in features.header["parents"] and recording.has(TRUE_SLIP_SHARE)
+            return recording.header["id"] in features.header["parents"] and recording.has("truth/visible_slip_share")
     except EvetacError:
         if folder is not None:
             raise

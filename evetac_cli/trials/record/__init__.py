@@ -1,8 +1,9 @@
 """record: write the events of one trial to a file: of a scene, of given dots, of devices or of a foreign event file.
 
 Each of the sources is a type of job with its own module: SimulatedTrial (simulated.py), GivenDots (given_dots.py),
-DeviceRecording (capture.py) and ImportJob (imported.py). With --preview, the job is a Preview: the camera's view is shown, and nothing
-is written. With --listen, a robot's program starts trials of the second type, any number of them (trials/listen).
+DeviceRecording (capture.py) and ImportJob (imported.py). With --preview, the job is a Preview: the camera's view is
+shown, and nothing is written. With --listen, a robot's program starts trials of devices, any number of them
+(trials/listen).
 """
 
 import time

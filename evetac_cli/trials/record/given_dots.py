@@ -14,8 +14,8 @@ from evetac_cli.commands.record import Record
 from evetac_cli.events import SLICES_PER_S
 from evetac_cli.formats.read.dot_motion import DotMotion, read_motion
 from evetac_cli.jobs import Job, Outcome, Progress, outcome
-from evetac_cli.store.files import up_to_date
 from evetac_cli.sim.setup.tables import as_table
+from evetac_cli.store.files import up_to_date
 from evetac_cli.store.layout.provenance import ContentDigest, Recipe
 from evetac_cli.store.recordings.trial_writer import TrialWriter
 from evetac_cli.trials.trial import OUTPUT
