@@ -48,7 +48,7 @@ class Record(Devices, Trials):
     )
     dots: Path | None = parameter(
         None,
-        "Make the events of dots that another simulator moved instead: .npz, .zarr or .parquet with t_s and dot_xy_px"
+        "Make the events of dots that another simulator moved instead: .npz or .parquet with t_s and dot_xy_px"
         " or dot_xy_mm, and optional forces and slip (docs/any-simulator.md), as the camera of --sensor sees them.",
         flag="--from-dots",
         recipe=False,

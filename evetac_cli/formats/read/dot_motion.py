@@ -1,7 +1,6 @@
 """Read the motion of dots that another simulator computed: positions over time, and forces and slip if it has them.
 
 npz        arrays of these names
-zarr       a group with arrays of these names; extra `convert` (zarr)
 parquet    a row for each time and dot, sorted by time: columns t_s, x_px and y_px or x_mm and y_mm, and columns of
            one value for each time; extra `convert` (pyarrow)
 
@@ -26,7 +25,7 @@ from evetac_cli.formats.read.damage import read_in_words, refuse_too_much
 TIME, UNITS = "t_s", ("px", "mm")
 TRUTH = {"normal_force_n": (), "shear_force_n": (2,), "slip": (), "slip_share": ()}  # shapes at one time
 NAMES = (TIME, *(f"dot_xy_{unit}" for unit in UNITS), *TRUTH)
-SUFFIXES = (".npz", ".zarr", ".parquet")
+SUFFIXES = (".npz", ".parquet")
 
 
 class DotMotion(NamedTuple):
@@ -44,7 +43,7 @@ def read_motion(path: Path) -> DotMotion:
     if path.suffix not in SUFFIXES:
         raise InputError("not a file of moving dots", where=where, expected=", ".join(SUFFIXES), found=path.suffix)
     with read_in_words(where, f"the file cannot be read as {path.suffix[1:]}"):
-        arrays = {".npz": _npz, ".zarr": _zarr, ".parquet": _parquet}[path.suffix](path)
+        arrays = {".npz": _npz, ".parquet": _parquet}[path.suffix](path)
     units = [unit for unit in UNITS if f"dot_xy_{unit}" in arrays]
     if TIME not in arrays or len(units) != 1:
         found = ", ".join(arrays) or "none of these"
@@ -70,13 +69,6 @@ def _npz(path: Path) -> dict[str, Floats]:
     refuse_too_much(unpacked, path.stat().st_size, str(path))
     with np.load(path, allow_pickle=False) as arrays:
         return {name: np.asarray(arrays[name], np.float64) for name in NAMES if name in arrays.files}
-
-
-def _zarr(path: Path) -> dict[str, Floats]:
-    with needs_extra("zarr files need zarr", "convert", str(path)):
-        import zarr
-    group = zarr.open_group(str(path), mode="r")
-    return {name: np.asarray(group[name][...], np.float64) for name in NAMES if name in group}
 
 
 def _parquet(path: Path) -> dict[str, Floats]:

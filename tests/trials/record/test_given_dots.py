@@ -117,5 +117,5 @@ def test_what_does_not_fit_is_refused(change: dict[str, Any], message: str, tmp_
     assert [one.name for one in tmp_path.iterdir()] == ["wrong.npz"]
     other = tmp_path / "dots.txt"
     other.write_text("")
-    with pytest.raises(InputError, match=r"\.npz, \.zarr, \.parquet"):
+    with pytest.raises(InputError, match=r"\.npz, \.parquet"):
         recorded(other)
