@@ -52,6 +52,7 @@ class Record(Devices, Trials):
         " or dot_xy_mm, and optional forces and slip (docs/any-simulator.md), as the camera of --sensor sees them.",
         flag="--from-dots",
         recipe=False,
+        panel=EXPERTS,
     )
     frame_size: str | None = parameter(
         None,
