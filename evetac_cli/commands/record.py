@@ -232,7 +232,6 @@ COMMAND = Command(
     examples=(
         "evetac record --scene slip --object 1-3 --count 2 -o data",
         "evetac record --from events.aedat4",
-        "evetac record --from-dots pressed.npz",
         "evetac record --camera dvxplorer --gripper /dev/ttyUSB0 --arm --object 8",
     ),
 )
