@@ -37,7 +37,7 @@ def slipping(slips: tuple[int, ...], ramp: bool = True) -> Any:
     def read(path: str, start: int = 0, stop: int | None = None) -> Any:
         return held[path][start:stop]
 
-    return SimpleNamespace(read=read, has=lambda path: ramp if path.startswith("gripper") else path == "truth")
+    return SimpleNamespace(read=read, has=lambda path: ramp if path.startswith("gripper") else path in held)
 
 
 @pytest.mark.parametrize(("slips", "ramp", "onset"), [
