@@ -208,7 +208,7 @@ def test_flags_of_this_grasp_and_training() -> None:
 
 
 @pytest.mark.parametrize(
-    ("params", "everywhere"), [(Record, {"source", "camera", "dry_run"}), (TrainForce, {"noise_n", "seed"})]
+    ("params", "everywhere"), [(Record, {"source", "dots", "camera", "dry_run"}), (TrainForce, {"noise_n", "seed"})]
 )
 def test_every_flag_belongs_somewhere(params: type, everywhere: set[str]) -> None:
     """Assert that only what names the source, and what goes with any, needs nothing."""

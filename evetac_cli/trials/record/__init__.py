@@ -152,8 +152,11 @@ def devices(params: Record) -> tuple[tuple[NamedCamera, ...], NamedGripper]:
             expected="both sim, or neither",
             found=f"{params.camera}, {gripper}",
         )
-    if params.source is not None and not cameras[0].has(Capability.STEPPED):
-        raise InputError("a file and a camera cannot be combined", where="--from, --camera", found=params.camera)
+    if params.source is not None and params.dots is not None:
+        raise InputError("two files cannot be combined", where="--from, --from-dots", found=f"{params.source}")
+    of_file = "--from" if params.source is not None else "--from-dots" if params.dots is not None else ""
+    if of_file and not cameras[0].has(Capability.STEPPED):
+        raise InputError("a file and a camera cannot be combined", where=f"{of_file}, --camera", found=params.camera)
     scenes = any(camera.has(Capability.SCENE) for camera in cameras)
     if len(cameras) > 1 and (scenes or params.preview):
         expected = "one camera of a simulated world" if scenes else "one camera to preview"
@@ -169,7 +172,7 @@ def dry_run(jobs: Sequence[Job], params: Record, *, force: bool = False, progres
         return capture_plan.dry_run(trials, force=force, writes=not params.preview)
     scenes = [job for job in jobs if isinstance(job, SimulatedTrial)]
     if not scenes:
-        raise InputError("an import has no plan to show", where="--dry-run", hint="leave out --from, or --dry-run")
+        raise InputError("a file has no plan to show", where="--dry-run", hint="leave out the file, or --dry-run")
     for trial in scenes:
         if not params.preview:
             up_to_date(trial.output, simulated.make_recipe(trial), force=force)

@@ -115,6 +115,10 @@ def test_what_does_not_fit_is_refused(change: dict[str, Any], message: str, tmp_
     with pytest.raises(InputError, match=message):
         recorded(path)
     assert [one.name for one in tmp_path.iterdir()] == ["wrong.npz"]
+    for flags, words in (({"source": path}, "two files"), ({"camera": "virtual"}, "a file and a camera"),
+                         ({"scene": "press"}, "scene")):  # fmt: skip
+        with pytest.raises(InputError, match=words):
+            recorded(path, **flags)
     other = tmp_path / "dots.txt"
     other.write_text("")
     with pytest.raises(InputError, match=r"\.npz, \.parquet"):
