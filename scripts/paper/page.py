@@ -13,6 +13,7 @@ from scripts.paper.rows import (
     counts,
     filled,
     is_informative,
+    ours,
     read,
     row_of,
 )
@@ -64,8 +65,9 @@ def as_ten(results: Path) -> str:
         one = entries[row.number]
         found = one["computed"]
         paper = _figure(found["paper"], found["spread"]) if "paper" in found else ""
-        ours = _figure(found["ours"], found["interval"]) if "ours" in found else NOT_YET
-        shown = [row.what + _older(one, results), paper, ours]
+        shown = [row.what + _older(one, results), paper, NOT_YET]
+        if "ours" in found:  # which is rounded
+            shown[-1] = _figure(ours(one, entries, results, need_interval=False).value, found["interval"])
         known = found["verdict"] != NOT_YET
         about = [counted(row, one, results), by_own_method(row, one, results)] if known else ["", ""]
         lines.append([*shown, about[0], found.get("mark") or "", found["verdict"], about[1]])
