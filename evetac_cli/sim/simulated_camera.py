@@ -113,8 +113,9 @@ class SimulatedCamera:
         """Take the dots' positions at a time, and return each slice of 1 ms that is now known.
 
         The first positions are those at the start of the first slice: begin at rest, or the first slice has the events
-        of a jump. Times increase, by any steps. Positions have the shape and unit of those at rest. After steps of more than a slice, the slices up to the time before are
-        returned, because the next position decides how a dot arrives; `finish` returns the others.
+        of a jump. Times increase, by any steps. Positions have the shape and unit of those at rest. After steps of more
+        than a slice, the slices up to the time before are returned, because the next position decides how a dot
+        arrives; `finish` returns the others.
 
         InputError, before any change, for a time that does not increase and for invalid positions.
         """
