@@ -31,7 +31,7 @@ class SceneCamera:
         self._simulation: Simulation | None = simulation
         self._scene = scene
         self._now_us = 0
-        self.sensor: Mapping[str, Any] = _described(name, sensor, simulation.gel_camera)
+        self.sensor: Mapping[str, Any] = described(name, sensor, simulation.gel_camera)
 
     def read(self) -> Events | None:
         """Advance the scene by 1 ms and return the camera's events; None once the scene has ended."""
@@ -54,7 +54,7 @@ class SceneCamera:
         self._simulation = None
 
 
-def _described(name: str, sensor: Sensor, camera: GelCamera) -> dict[str, Any]:
+def described(name: str, sensor: Sensor, camera: GelCamera) -> dict[str, Any]:
     """Return the datasets `sensor/...` of a simulated sensor."""
     described = {
         "sensor/frame_px": np.array(sensor.frame_px, np.int32),
@@ -75,7 +75,7 @@ class SecondSceneCamera(SceneCamera):
         super().__init__(simulation, "", name, sensor)
         assert simulation.second_view is not None
         self._second = simulation
-        self.sensor = _described(name, sensor, simulation.second_view.camera)
+        self.sensor = described(name, sensor, simulation.second_view.camera)
 
     def read(self) -> Events | None:
         """Return the camera's events of the slice that the scene has made; None before the first and after the last."""

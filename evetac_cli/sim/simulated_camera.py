@@ -4,7 +4,7 @@ A simulator of robots computes a soft surface 60 or 240 times a second, at times
 all times. Between two given times up to a slice (1 ms) apart, dots move on straight lines, as in evetac's own scenes.
 Over longer steps they follow a monotone cubic (PCHIP; F. N. Fritsch and J. Butland, 1984): smooth, and without the
 overshoot of a spline, so that a dot at rest makes no event before it is touched. What happens within a step, such as a
-dot that springs back, is lost (docs/any-simulator.md has the error by rate).
+dot that springs back, is lost.
 
 Gel, friction, window, texture and the outline of an object are the other simulator's, or are left out.
 """
@@ -12,7 +12,7 @@ Gel, friction, window, texture and the outline of an object are the other simula
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -97,10 +97,10 @@ class SimulatedCamera:
             time=SceneTimes(),
             gel=GelSettings(cut=False),
         )
-        self._camera = GelCamera(one, scene=scene, texture=None, rng=optics)
+        self.gel_camera = GelCamera(one, scene=scene, texture=None, rng=optics)
         self._rest_px = grid_px.reshape(-1, 2)
         self._metre_per_px = one.mm_per_px * 1e-3
-        self.dot_xy_px: Floats = self._camera.calibrated_grid_xy_px  # at rest, (rows, columns, 2)
+        self.dot_xy_px: Floats = self.gel_camera.calibrated_grid_xy_px  # at rest, (rows, columns, 2)
         self.dot_radius_px = one.dot_radius_px
         self.window_px = None
         self.sensitivity: Sensitivity = one.sensitivity()
@@ -146,16 +146,6 @@ class SimulatedCamera:
             slices += self.step(float(time_s), place)
         return (*slices, *self.finish())
 
-    def recorded_sensor(self) -> dict[str, Any]:
-        """Return the datasets `sensor/...` of a recording by this camera."""
-        return {
-            "sensor/frame_px": np.array(self.frame_px, np.int32),
-            "sensor/name": self.name,
-            "sensor/dot_xy_px": self.dot_xy_px,
-            "sensor/dot_radius_px": np.float64(self.dot_radius_px),
-            **{f"sensor/{key}": np.float64(value) for key, value in self.sensitivity.known().items()},
-        }
-
     def _as_px(self, dot_xy: ArrayLike) -> Floats:
         given = np.asarray(dot_xy, np.float64)
         if given.ndim < 2 or given.shape[-1] != 2 or not given.size:
@@ -200,8 +190,8 @@ class SimulatedCamera:
             path_m = self._shifts_at(times)
             self._slices += 1
             t0_us = (self._slices - 1) * SLICE_US
-            events = self._camera.render(path_m[-1], NOWHERE_M, 0.0, t0_us, None if pieces == 1 else path_m)
-            yield SeenSlice(events, self._camera.dot_xy_px.copy())
+            events = self.gel_camera.render(path_m[-1], NOWHERE_M, 0.0, t0_us, None if pieces == 1 else path_m)
+            yield SeenSlice(events, self.gel_camera.dot_xy_px.copy())
 
     def _shifts_at(self, times_ns: Floats) -> Floats:
         """Return the displacements (times, dots, 2) at times within the known samples."""

@@ -11,13 +11,13 @@ import argparse
 import gzip
 import hashlib
 import io
-import subprocess
 import sys
 import tarfile
 from pathlib import Path
 
 from evetac_cli import __version__
 from evetac_cli.store.hdf5.disk import taking_the_place_of
+from scripts.reproduce.frozen import git
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKED = (
@@ -26,14 +26,6 @@ PACKED = (
 )  # fmt: skip
 README, SUMS, COMMIT = "docs/cite.md", "SHA256SUMS", "COMMIT"
 LARGEST = 100_000_000  # bytes
-
-
-def git(*words: str) -> bytes:
-    """Return what git prints about this repository; SystemExit if it fails."""
-    done = subprocess.run(["git", "-C", str(ROOT), *words], capture_output=True, check=False)
-    if done.returncode:
-        raise SystemExit(f"error: git {' '.join(words)}: {done.stderr.decode().strip()}")
-    return done.stdout
 
 
 def contents() -> dict[str, bytes]:

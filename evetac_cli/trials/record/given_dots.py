@@ -34,7 +34,8 @@ class GivenDots(Job):
 
 def run(job: GivenDots, params: Record, *, force: bool, progress: Progress) -> Outcome:
     """Play the motion in front of the sensor's camera, and write the recording."""
-    from evetac_cli.sim.simulated_camera import SimulatedCamera  # imports numba
+    from evetac_cli.devices.simulated import described  # imports numba, as the next does
+    from evetac_cli.sim.simulated_camera import SimulatedCamera
 
     motion = read_motion(job.inputs[0])
     rng = np.random.default_rng([params.seed])
@@ -43,7 +44,7 @@ def run(job: GivenDots, params: Record, *, force: bool, progress: Progress) -> O
     if up_to_date(job.output, recipe, force=force):
         return outcome(job, made=False, simulated=True)
     datasets: dict[str, Any] = {
-        **camera.recorded_sensor(),
+        **described(camera.name, camera.sensor, camera.gel_camera),
         "t_offset": np.int64(0),
         "truth/sampled_parameters": "{}",
     }

@@ -4,6 +4,7 @@ import hashlib
 import tarfile
 from pathlib import Path
 
+from scripts.reproduce import frozen
 from scripts.ship import archive
 
 
@@ -16,12 +17,13 @@ def test_the_archive_has_what_its_checksums_say(tmp_path: Path) -> None:
     assert first.read_bytes() == again.read_bytes()
     with tarfile.open(first) as tar:
         assert tar.getnames() == ["x-1/docs/results/a.json", "x-1/README.md"]
-        assert tar.extractfile("x-1/README.md").read() == b"read me"  # type: ignore[union-attr]
+        readme = tar.extractfile("x-1/README.md")
+        assert readme is not None and readme.read() == b"read me"
 
 
 def test_what_is_packed_exists() -> None:
     """Assert that tables, models, rows and citation are committed files, and that each is in the list of checksums."""
-    packed = archive.git("ls-files", "--", *archive.PACKED).decode().split()
+    packed = frozen.git("ls-files", "--", *archive.PACKED).decode().split()
     assert {"docs/results/force.json", "scripts/paper/rows.json", "CITATION.cff", "LICENSE"} <= set(packed)
     assert any(name.startswith("docs/results/models/") for name in packed)
     assert all((archive.ROOT / name).exists() for name in (*archive.PACKED, archive.README))
